@@ -1,0 +1,3 @@
+//! Typed client of Backlot: dataset readers, the log generator, uploads, jobs, assets and samples.
+
+pub mod read_log;

@@ -1,0 +1,13 @@
+//! The radiance-field engine: training fields from posed images, composing them and rendering labelled scenes.
+//!
+//! Reading order follows the data: a `camera` makes rays, a `field` answers density and colour along them, `volume`
+//! composites and differentiates, `train` fits a field to views, `scene` places fields together and renders samples.
+//! The engine sees one local metric frame in f32; f64 world coordinates stay outside. It knows no tokio, tonic or sled.
+
+pub mod error;
+
+pub mod camera;
+
+pub mod view;
+
+pub use error::{Error, ErrorKind, Result};

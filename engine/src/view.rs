@@ -1,0 +1,51 @@
+//! Training views: what a field is fitted to.
+
+use crate::camera::{Camera, Rigid};
+
+/// What a pixel is to the field being trained.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u8)]
+pub enum PixelLabel {
+    /// Supervises nothing: another instance, a mover, ego hood, the band between LiDAR hull and projected cuboid.
+    Unknown = 0,
+    /// Belongs to the field: static scene for a background, the object for an object.
+    Foreground = 1,
+    /// Objects only: provably not the object, so the rectified loss pushes accumulation to 0.
+    Background = 2,
+    /// Backgrounds only: sky at infinity; accumulation of the field is pushed to 0.
+    Sky = 3,
+}
+
+/// One LiDAR return on its exact sub-pixel position in a view.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct DepthReturn {
+    /// Continuous pixel position; the centre of the top left pixel is (0.5, 0.5).
+    pub pixel: [f32; 2],
+    /// Euclidean distance from the camera centre in metres (not camera z).
+    pub range_m: f32,
+}
+
+/// Which part of the data a view belongs to. Held-out views never reach a training step.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Split {
+    Train,
+    HeldOut,
+}
+
+/// A posed image with labels and LiDAR returns, in the local frame of the field to be trained.
+///
+/// For a background the local frame is the log's anchor frame (x forward, y left, z up); for an object it is the frame of its
+/// cuboid at the frame's time (origin at the cuboid's centre, x forward, y left, z up).
+#[derive(Clone, Debug)]
+pub struct TrainView {
+    /// The data set's frame index, for messages and reports.
+    pub frame_index: u32,
+    pub camera: Camera,
+    pub local_from_camera: Rigid,
+    /// sRGB, row-major, `height * width * 3` bytes.
+    pub rgb: Vec<u8>,
+    /// Row-major, `height * width`.
+    pub labels: Vec<PixelLabel>,
+    pub depth: Vec<DepthReturn>,
+    pub split: Split,
+}
