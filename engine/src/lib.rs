@@ -10,4 +10,9 @@ pub mod camera;
 
 pub mod view;
 
+pub mod class;
+
+pub mod scene;
+
+pub use class::ObjectClass;
 pub use error::{Error, ErrorKind, Result};

@@ -27,7 +27,9 @@ impl Rigid {
 
     /// A pose from its heading about +z (0 = +x, turning left) and position.
     pub fn from_heading(heading_rad: f64, translation_m: DVec3) -> Self {
-        Self::new(DQuat::from_rotation_z(heading_rad), translation_m)
+        // libm, because the platform's sine differs from machine to machine and placements must not.
+        let (sin, cos) = libm::sincos(heading_rad * 0.5);
+        Self::new(DQuat::from_xyzw(0.0, 0.0, sin, cos), translation_m)
     }
 
     pub fn inverse(&self) -> Self {
