@@ -1,1 +1,10 @@
-//! placeholder
+//! The Backlot service: driving logs come in, training jobs make assets of them, and labelled samples are rendered from those.
+//!
+//! Modules in reading order. `store` is the only place that knows sled or the data directory, `api` the only place that
+//! knows wire messages; workers in `jobs` touch nothing but the worker port.
+
+pub mod error;
+
+pub mod domain;
+
+pub mod jobs;

@@ -1,0 +1,137 @@
+//! All that a worker may touch. In-process workers use it too, so that workers can later move to other machines.
+
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Instant;
+
+use bytes::Bytes;
+
+use crate::domain::asset::NewAsset;
+use crate::domain::blob::{BlobRef, Digest};
+use crate::domain::ids::{DriveLogId, JobId};
+use crate::domain::job::{Failure, JobReport, JobSpec, Progress};
+use crate::error::ErrorKind;
+
+/// The right to work on a job until `epoch` is overtaken.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Lease {
+    pub job: JobId,
+    pub epoch: u64,
+    pub attempt: u32,
+}
+
+/// A job and all that is needed to begin it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct LeasedJob {
+    pub lease: Lease,
+    pub spec: JobSpec,
+    pub drive_log: DriveLogId,
+    /// The encoded `backlot.v1.DriveLog`.
+    pub manifest: BlobRef,
+}
+
+/// What a worker must do after a heartbeat.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Directive {
+    Continue,
+    /// The job was cancelled: stop soon.
+    Cancel,
+    /// Another attempt owns the job: stop, nothing more can be published.
+    Lost,
+}
+
+/// The result of a job. Payload blobs were written through the port before.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Completion {
+    pub assets: Vec<NewAsset>,
+    pub report: JobReport,
+}
+
+/// Why the port refused.
+#[derive(Debug, thiserror::Error)]
+#[error("{message}")]
+pub struct PortError {
+    pub kind: ErrorKind,
+    pub message: String,
+}
+
+impl PortError {
+    pub fn kind(&self) -> ErrorKind {
+        self.kind
+    }
+}
+
+/// The service as a worker sees it. Calls block; none is made on a tokio worker thread.
+pub trait WorkerPort: Send + Sync {
+    /// The next due job, if any.
+    fn lease(&self, worker: &str) -> Result<Option<LeasedJob>, PortError>;
+
+    /// Reports progress and extends the lease.
+    fn heartbeat(&self, lease: &Lease, progress: &Progress) -> Result<Directive, PortError>;
+
+    /// A blob's whole content, verified against its digest.
+    fn read_blob(&self, digest: &Digest) -> Result<Bytes, PortError>;
+
+    /// Puts a blob on stable storage.
+    fn write_blob(&self, content: &[u8]) -> Result<BlobRef, PortError>;
+
+    /// Publishes the assets and ends the job in one transaction guarded by the epoch.
+    fn complete(&self, lease: &Lease, completion: Completion) -> Result<(), PortError>;
+
+    fn fail(&self, lease: &Lease, failure: Failure) -> Result<(), PortError>;
+
+    /// Ends the job as cancelled.
+    fn stopped(&self, lease: &Lease) -> Result<(), PortError>;
+
+    /// Gives the job back uncounted, because this worker is shutting down.
+    fn release(&self, lease: &Lease) -> Result<(), PortError>;
+}
+
+/// How running work tells its progress and learns that it must stop. Both calls are cheap: a pulse thread talks to the port.
+#[derive(Debug)]
+pub struct JobControl {
+    started: Instant,
+    progress: Mutex<Progress>,
+    stop: AtomicBool,
+}
+
+impl JobControl {
+    pub fn new() -> Self {
+        Self {
+            started: Instant::now(),
+            progress: Mutex::default(),
+            stop: AtomicBool::new(false),
+        }
+    }
+
+    /// Replaces the progress that watchers see.
+    pub fn report(&self, progress: Progress) {
+        *self.progress.lock().expect("no panic while held") = progress;
+    }
+
+    /// The latest progress.
+    pub fn progress(&self) -> Progress {
+        self.progress.lock().expect("no panic while held").clone()
+    }
+
+    /// True once the job was cancelled, its lease lost or the server is shutting down.
+    pub fn cancelled(&self) -> bool {
+        self.stop.load(Ordering::Relaxed)
+    }
+
+    /// Makes `cancelled` true for good.
+    pub fn stop(&self) {
+        self.stop.store(true, Ordering::Relaxed);
+    }
+
+    /// Seconds since the attempt began.
+    pub fn elapsed_s(&self) -> f64 {
+        self.started.elapsed().as_secs_f64()
+    }
+}
+
+impl Default for JobControl {
+    fn default() -> Self {
+        Self::new()
+    }
+}
