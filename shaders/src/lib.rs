@@ -1,1 +1,22 @@
-//! placeholder
+//! WGSL compute kernels of Backlot and what a host must know to run them. Knows no GPU API.
+//!
+//! `wgsl/` holds libraries (functions only) and one file per entry point. [`kernels`] lists the entry points with their
+//! bindings, [`layout`] mirrors the structs. Both are compared with what naga reads from the WGSL, so neither can drift;
+//! constants that host and kernel share are pipeline overrides filled from here, so there is no second copy of them.
+
+pub mod layout;
+
+mod kernel;
+
+pub mod kernels;
+
+pub use kernel::{Access, Binding, Kernel};
+
+/// Nodes along one edge of a brick.
+pub const BRICK_EDGE: u32 = 8;
+
+/// Node values of one brick.
+pub const BRICK_NODES: u32 = BRICK_EDGE * BRICK_EDGE * BRICK_EDGE;
+
+/// Entry of the brick index where no brick is allocated.
+pub const ABSENT_BRICK: u32 = u32::MAX;

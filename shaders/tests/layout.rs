@@ -1,0 +1,104 @@
+//! The repr(C) mirrors have the sizes and offsets that naga computes for the WGSL structs of the same name.
+
+use std::collections::BTreeMap;
+use std::mem::offset_of;
+
+use backlot_shaders::kernels;
+use backlot_shaders::layout::{Level, MarchParams, Ray, RaySample, RaySummary};
+
+/// Field name -> byte offset, and the array stride under the key "(stride)".
+type Layout = BTreeMap<String, usize>;
+
+macro_rules! mirror {
+    ($name:ident { $($field:ident),* $(,)? }) => {{
+        let mut layout = Layout::from([("(stride)".to_owned(), size_of::<$name>())]);
+        $( layout.insert(stringify!($field).to_owned(), offset_of!($name, $field)); )*
+        // Names every field, so that one added to the struct alone does not compile.
+        let $name { $($field: _),* } = <$name as Default>::default();
+        (stringify!($name).to_owned(), layout)
+    }};
+}
+
+fn mirrors() -> BTreeMap<String, Layout> {
+    BTreeMap::from([
+        mirror!(Level {
+            origin,
+            voxel_m,
+            bricks,
+            index_start
+        }),
+        mirror!(Ray {
+            origin,
+            t_near,
+            direction,
+            t_far
+        }),
+        mirror!(RaySummary {
+            tau,
+            accumulation,
+            depth_m,
+            sample_count
+        }),
+        mirror!(RaySample { t, delta, sigma }),
+        mirror!(MarchParams {
+            base_voxel_m,
+            act_shift,
+            stop_tau,
+            step_m,
+            level_count,
+            ray_count,
+            sample_capacity,
+            groups_x
+        }),
+    ])
+}
+
+#[test]
+fn every_struct_of_every_kernel_has_an_equal_mirror() {
+    let mirrors = mirrors();
+    let mut compared = BTreeMap::new();
+    for kernel in kernels::ALL {
+        for (name, layout) in wgsl_structs(kernel.source) {
+            let mirror = mirrors
+                .get(&name)
+                .unwrap_or_else(|| panic!("{name} has no mirror in layout.rs"));
+            assert_eq!(mirror, &layout, "{name} (left: host, right: WGSL)");
+            *compared.entry(name).or_insert(0) += layout.len() - 1;
+        }
+    }
+    let fields: usize = compared.values().sum();
+    println!("{} structs, {fields} fields compared", compared.len());
+    assert_eq!(
+        compared.len(),
+        mirrors.len(),
+        "a mirror was compared with nothing"
+    );
+}
+
+#[test]
+fn a_moved_field_is_noticed() {
+    let source = kernels::MARCH_DENSITY.source;
+    let moved = source.replacen("t_near: f32,", "pad: f32, t_near: f32,", 1);
+    assert_ne!(moved, source, "the struct was not changed");
+    assert_ne!(wgsl_structs(&moved)["Ray"], mirrors()["Ray"]);
+}
+
+fn wgsl_structs(source: &str) -> BTreeMap<String, Layout> {
+    let module = naga::front::wgsl::parse_str(source).unwrap();
+    let structs = module
+        .types
+        .iter()
+        .filter_map(|(_, ty)| match (&ty.name, &ty.inner) {
+            (Some(name), naga::TypeInner::Struct { members, span }) => {
+                let mut layout = Layout::from([("(stride)".to_owned(), *span as usize)]);
+                layout.extend(
+                    members
+                        .iter()
+                        .map(|m| (m.name.clone().unwrap_or_default(), m.offset as usize)),
+                );
+                Some((name.clone(), layout))
+            }
+            _ => None,
+        });
+    structs.collect()
+}
