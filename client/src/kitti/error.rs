@@ -1,0 +1,63 @@
+//! What can be wrong with a drive on disk.
+
+use std::path::{Path, PathBuf};
+
+use backlot_engine::ErrorKind;
+
+pub type Result<T, E = Error> = std::result::Result<T, E>;
+
+/// Every message starts with the path it is about.
+#[derive(Debug, thiserror::Error)]
+pub enum Error {
+    #[error("{}: not found; {hint}", path.display())]
+    Missing { path: PathBuf, hint: String },
+    #[error("{}: {source}", path.display())]
+    Io {
+        path: PathBuf,
+        source: std::io::Error,
+    },
+    #[error("{}: {what}", path.display())]
+    Malformed { path: PathBuf, what: String },
+    #[error("{}:{line}: {what}", path.display())]
+    MalformedLine {
+        path: PathBuf,
+        /// Counted from 1.
+        line: usize,
+        what: String,
+    },
+}
+
+impl Error {
+    pub fn kind(&self) -> ErrorKind {
+        match self {
+            Self::Missing { .. } => ErrorKind::NotFound,
+            Self::Io { .. } => ErrorKind::Unavailable,
+            Self::Malformed { .. } | Self::MalformedLine { .. } => ErrorKind::Invalid,
+        }
+    }
+
+    pub(super) fn io(path: &Path, source: std::io::Error, hint: &str) -> Self {
+        let path = path.to_owned();
+        if source.kind() == std::io::ErrorKind::NotFound {
+            let hint = hint.to_owned();
+            Self::Missing { path, hint }
+        } else {
+            Self::Io { path, source }
+        }
+    }
+
+    pub(super) fn malformed(path: &Path, what: impl Into<String>) -> Self {
+        Self::Malformed {
+            path: path.to_owned(),
+            what: what.into(),
+        }
+    }
+
+    pub(super) fn at_line(path: &Path, line: usize, what: impl Into<String>) -> Self {
+        Self::MalformedLine {
+            path: path.to_owned(),
+            line,
+            what: what.into(),
+        }
+    }
+}

@@ -1,0 +1,91 @@
+//! Ego motion through time.
+
+use std::collections::BTreeMap;
+
+use backlot_engine::camera::Rigid;
+
+/// `world_from_ego` poses, strictly increasing in time.
+#[derive(Clone, Debug)]
+pub(super) struct Trajectory {
+    poses: Vec<(i64, Rigid)>,
+}
+
+impl Trajectory {
+    /// Requires at least one pose.
+    pub(super) fn new(poses: BTreeMap<i64, Rigid>) -> Self {
+        assert!(!poses.is_empty(), "a trajectory has at least one pose");
+        Self {
+            poses: poses.into_iter().collect(),
+        }
+    }
+
+    pub(super) fn poses(&self) -> &[(i64, Rigid)] {
+        &self.poses
+    }
+
+    /// The pose at a time: linear in translation, slerp in rotation, and extrapolated from the outermost two poses.
+    pub(super) fn at(&self, timestamp_ns: i64) -> Rigid {
+        if let [(_, pose)] = self.poses[..] {
+            return pose;
+        }
+        let after = self.poses.partition_point(|(t, _)| *t < timestamp_ns);
+        let after = after.clamp(1, self.poses.len() - 1);
+        let (t0, pose0) = self.poses[after - 1];
+        let (t1, pose1) = self.poses[after];
+        pose0.interpolate(&pose1, (timestamp_ns - t0) as f64 / (t1 - t0) as f64)
+    }
+
+    /// Adds extrapolated ends so that the trajectory spans `[first_ns, last_ns]`; says whether it had to.
+    pub(super) fn cover(&mut self, first_ns: i64, last_ns: i64) -> bool {
+        let mut extended = false;
+        if first_ns < self.poses[0].0 {
+            self.poses.insert(0, (first_ns, self.at(first_ns)));
+            extended = true;
+        }
+        if last_ns > self.poses[self.poses.len() - 1].0 {
+            self.poses.push((last_ns, self.at(last_ns)));
+            extended = true;
+        }
+        extended
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::DVec3;
+
+    use super::*;
+
+    fn straight() -> Trajectory {
+        let pose = |x| Rigid::from_heading(0.0, DVec3::new(x, 0.0, 0.0));
+        Trajectory::new(BTreeMap::from([
+            (0, pose(0.0)),
+            (10, pose(1.0)),
+            (30, pose(2.0)),
+        ]))
+    }
+
+    #[test]
+    fn poses_are_interpolated_and_extrapolated() {
+        for (t, x) in [
+            (0, 0.0),
+            (5, 0.5),
+            (10, 1.0),
+            (20, 1.5),
+            (30, 2.0),
+            (-10, -1.0),
+            (50, 3.0),
+        ] {
+            assert!((straight().at(t).translation_m.x - x).abs() < 1e-12, "{t}");
+        }
+    }
+
+    #[test]
+    fn covering_adds_only_what_is_missing() {
+        let mut trajectory = straight();
+        assert!(!trajectory.cover(0, 30));
+        assert!(trajectory.cover(-10, 30));
+        assert_eq!(trajectory.poses().len(), 4);
+        assert!((trajectory.poses()[0].1.translation_m.x + 1.0).abs() < 1e-12);
+    }
+}
