@@ -12,7 +12,17 @@ pub mod view;
 
 pub mod class;
 
+pub mod field;
+
+pub mod train;
+
+pub mod quality;
+
+pub mod asset;
+
 pub mod scene;
 
+pub use asset::{Asset, AssetHeader};
 pub use class::ObjectClass;
 pub use error::{Error, ErrorKind, Result};
+pub use field::Field;

@@ -1,0 +1,130 @@
+//! Which cells of space can hold density, and how finely to step there.
+
+use glam::{UVec3, Vec3};
+
+/// Cells along each edge of a block.
+pub const BLOCK_SIDE: u32 = 8;
+const MAX_INDEX_BLOCKS: f32 = 16_777_216.0;
+
+/// What a ray meets at a position.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Space {
+    /// Nothing up to the far side of a cube with this lower corner and edge length, in metres.
+    Empty { corner_m: Vec3, side_m: f32 },
+    /// Density may be here; step by this many metres at most.
+    Occupied { step_m: f32 },
+}
+
+/// A two-level occupancy mask: blocks of 8^3 cells behind a dense index; block 0 stands for empty ones.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Occupancy {
+    cell_m: f32,
+    origin_m: Vec3,
+    blocks: UVec3,
+    index: Vec<u32>,
+    /// One bit per cell: word z, bit `y * 8 + x`.
+    masks: Vec<[u64; BLOCK_SIDE as usize]>,
+    steps_m: Vec<f32>,
+}
+
+impl Occupancy {
+    /// All empty, covering `size_m` from `origin_m` on. `None` if the index would be unreasonably large.
+    pub fn new(cell_m: f32, origin_m: Vec3, size_m: Vec3) -> Option<Self> {
+        let span = (size_m / (cell_m * BLOCK_SIDE as f32))
+            .ceil()
+            .max(Vec3::ONE);
+        if !(cell_m > 0.0 && span.is_finite() && span.element_product() <= MAX_INDEX_BLOCKS) {
+            return None;
+        }
+        let blocks = span.as_uvec3();
+        Some(Self {
+            cell_m,
+            origin_m,
+            blocks,
+            index: vec![0; blocks.element_product() as usize],
+            masks: vec![[0; BLOCK_SIDE as usize]],
+            steps_m: vec![0.0],
+        })
+    }
+
+    pub fn cell_m(&self) -> f32 {
+        self.cell_m
+    }
+
+    pub fn origin_m(&self) -> Vec3 {
+        self.origin_m
+    }
+
+    pub fn blocks_per_axis(&self) -> UVec3 {
+        self.blocks
+    }
+
+    /// Dense block index, x fastest; 0 is an empty block.
+    pub fn index(&self) -> &[u32] {
+        &self.index
+    }
+
+    /// Word z, bit `y * 8 + x` of every stored block; entry 0 is the empty block.
+    pub fn masks(&self) -> &[[u64; BLOCK_SIDE as usize]] {
+        &self.masks
+    }
+
+    /// Step of every stored block in metres.
+    pub fn steps_m(&self) -> &[f32] {
+        &self.steps_m
+    }
+
+    /// Marks cells of one block; `block` outside the mask or an empty `mask` is ignored.
+    pub fn set_block(&mut self, block: UVec3, mask: [u64; BLOCK_SIDE as usize], step_m: f32) {
+        if !block.cmplt(self.blocks).all() || mask == [0; BLOCK_SIDE as usize] {
+            return;
+        }
+        let at = ((block.z * self.blocks.y + block.y) * self.blocks.x + block.x) as usize;
+        if self.index[at] == 0 {
+            self.index[at] = self.masks.len() as u32;
+            self.masks.push(mask);
+            self.steps_m.push(step_m);
+        } else {
+            let stored = self.index[at] as usize;
+            self.masks[stored] = mask;
+            self.steps_m[stored] = step_m;
+        }
+    }
+
+    /// Number of occupied cells.
+    pub fn occupied_cells(&self) -> u64 {
+        let words = self.masks.iter().flatten();
+        words.map(|word| u64::from(word.count_ones())).sum()
+    }
+
+    #[inline]
+    pub fn at(&self, p: Vec3) -> Space {
+        let q = (p - self.origin_m) * (1.0 / self.cell_m);
+        // A ray inside the box can leave it by rounding; the nearest cell then answers.
+        let cells = (self.blocks * BLOCK_SIDE).as_ivec3();
+        let cell = q
+            .floor()
+            .as_ivec3()
+            .clamp(glam::IVec3::ZERO, cells - 1)
+            .as_uvec3();
+        let block = cell >> 3u32;
+        let at = ((block.z * self.blocks.y + block.y) * self.blocks.x + block.x) as usize;
+        let stored = self.index[at] as usize;
+        if stored == 0 {
+            let side_m = self.cell_m * BLOCK_SIDE as f32;
+            let corner_m = self.origin_m + block.as_vec3() * side_m;
+            return Space::Empty { corner_m, side_m };
+        }
+        let local = cell & 7u32;
+        if self.masks[stored][local.z as usize] >> (local.y * 8 + local.x) & 1 == 0 {
+            let corner_m = self.origin_m + cell.as_vec3() * self.cell_m;
+            return Space::Empty {
+                corner_m,
+                side_m: self.cell_m,
+            };
+        }
+        Space::Occupied {
+            step_m: self.steps_m[stored],
+        }
+    }
+}

@@ -1,0 +1,9 @@
+//! How good a trained field is, measured on held-out views.
+
+mod coverage;
+mod image;
+mod report;
+
+pub use coverage::{AZIMUTH_SECTORS, ViewCoverage};
+pub use image::{psnr_db, ssim};
+pub use report::QualityReport;

@@ -1,0 +1,36 @@
+//! What a field is trained from, and what comes out.
+
+use glam::DVec3;
+
+use crate::field::Field;
+use crate::quality::QualityReport;
+use crate::view::TrainView;
+
+/// A static scene. All coordinates in the log's local frame, z up, metres.
+#[derive(Clone, Debug, Default)]
+pub struct BackgroundInput {
+    pub views: Vec<TrainView>,
+    /// Returns of the static scene, all sweeps of the training frames; they seed bricks and density.
+    pub lidar_points: Vec<[f32; 3]>,
+    /// Camera or ego positions of the drive, in order; the finest voxels follow them.
+    pub ego_path: Vec<DVec3>,
+}
+
+/// One rigid object. All coordinates in its cuboid's frame (origin at the centre, x forward, y left, z up), metres.
+#[derive(Clone, Debug, Default)]
+pub struct ObjectInput {
+    pub views: Vec<TrainView>,
+    /// Full extents of the annotated cuboid (length, width, height).
+    pub size_m: DVec3,
+    /// Also supervise every ray's mirror image about the x-z plane.
+    pub symmetric: bool,
+    /// Returns on the object, all usable sweeps.
+    pub lidar_points: Vec<[f32; 3]>,
+}
+
+/// A fitted field and how good it is.
+#[derive(Clone, Debug)]
+pub struct Trained {
+    pub field: Field,
+    pub quality: QualityReport,
+}

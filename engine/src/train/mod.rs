@@ -1,0 +1,9 @@
+//! Fitting a field to posed images.
+
+mod control;
+mod input;
+mod preset;
+
+pub use control::{NoControl, Progress, Stage, TrainControl};
+pub use input::{BackgroundInput, ObjectInput, Trained};
+pub use preset::{Budget, TrainPreset};
