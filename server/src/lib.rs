@@ -7,4 +7,8 @@ pub mod error;
 
 pub mod domain;
 
+pub mod ingest;
+
 pub mod jobs;
+
+pub mod api;

@@ -9,3 +9,5 @@ pub mod asset;
 pub mod snapshot;
 
 pub mod job;
+
+pub mod drive_log;

@@ -26,7 +26,7 @@ pub struct LeasedJob {
     pub lease: Lease,
     pub spec: JobSpec,
     pub drive_log: DriveLogId,
-    /// The encoded `backlot.v1.DriveLog`.
+    /// The log, to be read with `DriveLog::from_manifest`.
     pub manifest: BlobRef,
 }
 

@@ -1,0 +1,8 @@
+//! Driving logs between the wire and the domain.
+
+mod fields;
+mod from_wire;
+mod to_wire;
+
+pub use from_wire::drive_log_from_wire;
+pub use to_wire::{drive_log_to_wire, object_class_to_wire};
