@@ -1,7 +1,21 @@
 //! Typed client of Backlot: dataset readers, the log generator, uploads, jobs, assets and samples.
 
+pub mod error;
+
 pub mod read_log;
 
 pub mod kitti;
 
 pub mod geometry;
+
+pub mod connection;
+pub mod names;
+
+pub mod upload;
+
+pub mod download;
+pub mod listing;
+pub mod watch;
+
+pub use connection::Connection;
+pub use error::{Error, Result};
