@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 use crate::camera::Rigid;
 use crate::class::ObjectClass;
 use crate::quality::{QualityReport, ViewCoverage};
-use crate::scene::Recording;
+use crate::scene::{Recording, ValidRegion};
 
 /// Version of the stored format; readers refuse newer ones.
 pub const FORMAT_VERSION: u32 = 1;
@@ -62,6 +62,12 @@ pub struct AssetHeader {
     pub coverage: Option<ViewCoverage>,
     /// Backgrounds: cameras, poses and tracks of the log.
     pub recording: Option<Recording>,
+    /// Backgrounds: where objects may stand.
+    #[serde(default)]
+    pub valid_region: Option<ValidRegion>,
+    /// Objects: where the track was recorded, relative to its ego at each usable frame; empty for a background.
+    #[serde(default)]
+    pub ego_from_object: Vec<Rigid>,
     pub color_space: ColorSpace,
     /// Exposure relative to the log's, in stops.
     pub exposure_ev: f64,

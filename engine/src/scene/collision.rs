@@ -6,7 +6,7 @@ use super::footprint::Footprint;
 use crate::camera::Rigid;
 
 /// An oriented box that may not overlap another.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Occupied {
     pub local_from_cuboid: Rigid,
     pub size_m: DVec3,

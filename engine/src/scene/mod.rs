@@ -1,20 +1,32 @@
 //! From assets to new labelled scenes.
 //!
 //! A [`Recording`] says what a background's log saw: cameras, poses and tracked cuboids. The [`ValidRegion`] says where an
-//! object may stand in it.
+//! object may stand in it. [`compose`] draws a pose and places objects by a [`Recipe`].
 
 mod random;
 
 mod recording;
 
 mod collision;
+mod coverage;
 mod density;
 mod footprint;
 mod valid_region;
 
+mod composition;
+mod placement;
+mod projection;
+mod recipe;
+mod rejection;
+mod sight;
+
 pub use collision::{Occupied, intersection_area_m2};
+pub use composition::{ATTEMPTS, Candidate, Composition, Origin, PlacedObject, Stage, compose};
 pub use density::{DensityField, HALF_TAU};
 pub use footprint::{Footprint, GroundPlane};
+pub use projection::{PixelBox, amodal_box, corners};
 pub use random::Draws;
+pub use recipe::{Jitter, MAX_OBJECTS, MAX_SIDE_PX, PlacementPreset, Recipe};
 pub use recording::{RecordedCamera, RecordedFrame, RecordedTrack, Recording};
-pub use valid_region::{Cell, Unsupported, ValidRegion};
+pub use rejection::Rejection;
+pub use valid_region::{Cell, NO_GROUND, Unsupported, ValidRegion};

@@ -1,0 +1,63 @@
+//! Why a placement attempt was dropped; counted and returned with every sample.
+
+use super::valid_region::Unsupported;
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum Rejection {
+    /// No free place at the drawn distance in the camera's view.
+    NoFreePlace,
+    Unseen,
+    Blocked,
+    Uneven,
+    Distance,
+    OutOfView,
+    Truncated,
+    TooSmall,
+    Coverage,
+    CollidesPlaced,
+    CollidesOriginal,
+    CollidesEgo,
+    /// The object itself stands nearby as an original.
+    Duplicate,
+    Occluded,
+    HidesPlaced,
+    /// Asked to replace an original of another size.
+    SizeMismatch,
+    /// All attempts of a slot failed: the sample has an object less.
+    GaveUp,
+}
+
+impl Rejection {
+    /// Stable name, as returned in samples and reports.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::NoFreePlace => "no_free_place",
+            Self::Unseen => "unseen",
+            Self::Blocked => "blocked",
+            Self::Uneven => "uneven",
+            Self::Distance => "distance",
+            Self::OutOfView => "out_of_view",
+            Self::Truncated => "truncated",
+            Self::TooSmall => "too_small",
+            Self::Coverage => "coverage",
+            Self::CollidesPlaced => "collides_placed",
+            Self::CollidesOriginal => "collides_original",
+            Self::CollidesEgo => "collides_ego",
+            Self::Duplicate => "duplicate",
+            Self::Occluded => "occluded",
+            Self::HidesPlaced => "hides_placed",
+            Self::SizeMismatch => "size_mismatch",
+            Self::GaveUp => "gave_up",
+        }
+    }
+}
+
+impl From<Unsupported> for Rejection {
+    fn from(reason: Unsupported) -> Self {
+        match reason {
+            Unsupported::Unseen => Self::Unseen,
+            Unsupported::Blocked => Self::Blocked,
+            Unsupported::Uneven => Self::Uneven,
+        }
+    }
+}
