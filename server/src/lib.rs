@@ -7,6 +7,8 @@ pub mod error;
 
 pub mod domain;
 
+pub mod store;
+
 pub mod ingest;
 
 pub mod jobs;

@@ -106,7 +106,7 @@ pub fn slug(text: &str, max_bytes: usize) -> String {
     for c in text.chars() {
         let c = c.to_ascii_lowercase();
         let c = if is_id_char(c) { c } else { '-' };
-        if out.len() < max_bytes && !(out.is_empty() && !c.is_ascii_alphanumeric()) {
+        if out.len() < max_bytes && (c.is_ascii_alphanumeric() || !out.is_empty()) {
             out.push(c);
         }
     }
