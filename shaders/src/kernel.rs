@@ -36,8 +36,7 @@ impl Kernel {
     /// Values of the kernel's pipeline overrides: constants that host and kernel share.
     pub fn constants(&self) -> Vec<(&'static str, f64)> {
         vec![
-            ("BRICK_EDGE", f64::from(crate::BRICK_EDGE)),
-            ("ABSENT_BRICK", f64::from(crate::ABSENT_BRICK)),
+            ("BRICK_SIDE", f64::from(crate::BRICK_SIDE)),
             ("WORKGROUP_SIZE", f64::from(self.workgroup_size)),
         ]
     }

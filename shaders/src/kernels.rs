@@ -1,7 +1,7 @@
 //! The table of kernels; a test compares it with the files of `wgsl/`.
 
 use crate::kernel::{Access, Binding, Kernel};
-use crate::layout::{Level, MarchParams, Ray, RaySample, RaySummary};
+use crate::layout::{Block, Level, MarchParams, Ray, RaySample, RaySummary};
 
 /// Marches rays through a density pyramid; one thread a ray.
 pub const MARCH_DENSITY: Kernel = Kernel {
@@ -9,12 +9,14 @@ pub const MARCH_DENSITY: Kernel = Kernel {
     files: &[
         "types.wgsl",
         "lattice.wgsl",
+        "occupancy.wgsl",
         "density.wgsl",
         "march_density.wgsl",
     ],
     source: concat!(
         include_str!("../wgsl/types.wgsl"),
         include_str!("../wgsl/lattice.wgsl"),
+        include_str!("../wgsl/occupancy.wgsl"),
         include_str!("../wgsl/density.wgsl"),
         include_str!("../wgsl/march_density.wgsl"),
     ),
@@ -23,6 +25,8 @@ pub const MARCH_DENSITY: Kernel = Kernel {
         bind::<Level>("levels", Access::Read),
         bind::<u32>("brick_index", Access::Read),
         bind::<f32>("density", Access::Read),
+        bind::<u32>("block_index", Access::Read),
+        bind::<Block>("blocks", Access::Read),
         bind::<Ray>("rays", Access::Read),
         bind::<RaySummary>("summaries", Access::ReadWrite),
         bind::<RaySample>("samples", Access::ReadWrite),

@@ -13,10 +13,4 @@ pub mod kernels;
 pub use kernel::{Access, Binding, Kernel};
 
 /// Nodes along one edge of a brick.
-pub const BRICK_EDGE: u32 = 8;
-
-/// Node values of one brick.
-pub const BRICK_NODES: u32 = BRICK_EDGE * BRICK_EDGE * BRICK_EDGE;
-
-/// Entry of the brick index where no brick is allocated.
-pub const ABSENT_BRICK: u32 = u32::MAX;
+pub const BRICK_SIDE: u32 = 8;

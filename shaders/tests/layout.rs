@@ -4,17 +4,20 @@ use std::collections::BTreeMap;
 use std::mem::offset_of;
 
 use backlot_shaders::kernels;
-use backlot_shaders::layout::{Level, MarchParams, Ray, RaySample, RaySummary};
+use backlot_shaders::layout::{Block, Level, MarchParams, Ray, RaySample, RaySummary};
+
+/// Structs that never leave a kernel, so they have no mirror.
+const INTERNAL: [&str; 2] = ["RawDensity", "Space"];
 
 /// Field name -> byte offset, and the array stride under the key "(stride)".
 type Layout = BTreeMap<String, usize>;
 
 macro_rules! mirror {
-    ($name:ident { $($field:ident),* $(,)? }) => {{
+    ($name:ident { $($field:ident),* $(,)? } $(padded by $padding:ident)?) => {{
         let mut layout = Layout::from([("(stride)".to_owned(), size_of::<$name>())]);
         $( layout.insert(stringify!($field).to_owned(), offset_of!($name, $field)); )*
         // Names every field, so that one added to the struct alone does not compile.
-        let $name { $($field: _),* } = <$name as Default>::default();
+        let $name { $($field: _,)* $($padding: _)? } = <$name as Default>::default();
         (stringify!($name).to_owned(), layout)
     }};
 }
@@ -22,34 +25,24 @@ macro_rules! mirror {
 fn mirrors() -> BTreeMap<String, Layout> {
     BTreeMap::from([
         mirror!(Level {
-            origin,
+            origin_m,
             voxel_m,
             bricks,
             index_start
         }),
-        mirror!(Ray {
-            origin,
-            t_near,
-            direction,
-            t_far
-        }),
+        mirror!(Block { mask, step_m }),
+        mirror!(Ray { origin_m, t_min, direction, t_max, stop_tau, phase } padded by padding),
         mirror!(RaySummary {
             tau,
             accumulation,
-            depth_m,
+            weighted_distance_m,
             sample_count
         }),
-        mirror!(RaySample { t, delta, sigma }),
+        mirror!(RaySample { t, dt, sigma }),
         mirror!(MarchParams {
-            base_voxel_m,
-            act_shift,
-            stop_tau,
-            step_m,
-            level_count,
-            ray_count,
-            sample_capacity,
-            groups_x
-        }),
+            low_m, base_voxel_m, high_m, act_shift, occupancy_origin_m, cell_m, blocks, level_count,
+            step_growth, sigma_min, nudge_m, ray_count, sample_capacity, groups_x
+        } padded by padding),
     ])
 }
 
@@ -78,18 +71,20 @@ fn every_struct_of_every_kernel_has_an_equal_mirror() {
 #[test]
 fn a_moved_field_is_noticed() {
     let source = kernels::MARCH_DENSITY.source;
-    let moved = source.replacen("t_near: f32,", "pad: f32, t_near: f32,", 1);
+    let moved = source.replacen("t_min: f32,", "pad: f32, t_min: f32,", 1);
     assert_ne!(moved, source, "the struct was not changed");
     assert_ne!(wgsl_structs(&moved)["Ray"], mirrors()["Ray"]);
 }
 
 fn wgsl_structs(source: &str) -> BTreeMap<String, Layout> {
-    let module = naga::front::wgsl::parse_str(source).unwrap();
+    let module = naga::front::wgsl::parse_str(source).expect("the kernel parses");
     let structs = module
         .types
         .iter()
         .filter_map(|(_, ty)| match (&ty.name, &ty.inner) {
-            (Some(name), naga::TypeInner::Struct { members, span }) => {
+            (Some(name), naga::TypeInner::Struct { members, span })
+                if !INTERNAL.contains(&name.as_str()) =>
+            {
                 let mut layout = Layout::from([("(stride)".to_owned(), *span as usize)]);
                 layout.extend(
                     members

@@ -1,42 +1,52 @@
 // Node lookup and trilinear interpolation in a pyramid of brick-sparse lattices.
 
-// Value of one node; nodes of absent bricks are zero.
-fn node_density(level: Level, node: vec3<u32>) -> f32 {
-    let brick = node / BRICK_EDGE;
-    let cell = level.index_start + brick.x + level.bricks.x * (brick.y + level.bricks.y * brick.z);
-    let slot = brick_index[cell];
-    if slot == ABSENT_BRICK {
-        return 0.0;
-    }
-    let inside = node % BRICK_EDGE;
-    let offset = inside.x + BRICK_EDGE * (inside.y + BRICK_EDGE * inside.z);
-    return density[slot * BRICK_EDGE * BRICK_EDGE * BRICK_EDGE + offset];
+// Raw density at a point, and whether any level stores a brick there.
+struct RawDensity {
+    raw: f32,
+    stored: bool,
 }
 
-// Trilinear interpolation of one level at a point of the local frame; zero outside the level's nodes.
-fn level_density(level: Level, point: vec3<f32>) -> f32 {
-    let nodes = level.bricks * BRICK_EDGE;
-    let position = (point - level.origin) / level.voxel_m;
-    let base = floor(position);
-    if any(base < vec3<f32>(0.0)) || any(base + 1.0 > vec3<f32>(nodes - 1u)) {
-        return 0.0;
+// Sum of the levels' trilinear interpolations.
+fn raw_density(point: vec3<f32>) -> RawDensity {
+    var sum = RawDensity(0.0, false);
+    for (var l = 0u; l < params.level_count; l++) {
+        let level = level_density(levels[l], point);
+        sum.raw += level.raw;
+        sum.stored = sum.stored || level.stored;
     }
-    let f = position - base;
-    let node = vec3<u32>(base);
-    var value = 0.0;
+    return sum;
+}
+
+// One level; zero outside of it.
+fn level_density(level: Level, point: vec3<f32>) -> RawDensity {
+    var sum = RawDensity(0.0, false);
+    let position = (point - level.origin_m) * (1.0 / level.voxel_m);
+    let limit = vec3<f32>(level.bricks * BRICK_SIDE);
+    // Written so that NaN is outside.
+    if !(all(position >= vec3<f32>(0.0)) && all(position < limit)) {
+        return sum;
+    }
+    let base = vec3<u32>(position);
+    let f = position - vec3<f32>(base);
     for (var corner = 0u; corner < 8u; corner++) {
         let step = vec3<u32>(corner & 1u, (corner >> 1u) & 1u, corner >> 2u);
         let weight = select(1.0 - f, f, step == vec3<u32>(1u));
-        value += weight.x * weight.y * weight.z * node_density(level, node + step);
+        let node = base + step;
+        let brick = stored_brick(level, node / BRICK_SIDE);
+        sum.stored = sum.stored || brick != 0u;
+        sum.raw += node_density(brick, node % BRICK_SIDE) * (weight.x * (weight.y * weight.z));
     }
-    return value;
+    return sum;
 }
 
-// Raw density at a point: the sum over the levels.
-fn raw_density(point: vec3<f32>) -> f32 {
-    var raw = 0.0;
-    for (var l = 0u; l < params.level_count; l++) {
-        raw += level_density(levels[l], point);
-    }
-    return raw;
+// Stored brick at a brick position; 0 is the null brick. The index has one more cell per axis than the level, always null.
+fn stored_brick(level: Level, position: vec3<u32>) -> u32 {
+    let cells = level.bricks + 1u;
+    return brick_index[level.index_start + position.x + cells.x * (position.y + cells.y * position.z)];
+}
+
+// Value of one node of a brick.
+fn node_density(brick: u32, within: vec3<u32>) -> f32 {
+    let offset = within.x + BRICK_SIDE * (within.y + BRICK_SIDE * within.z);
+    return density[brick * (BRICK_SIDE * BRICK_SIDE * BRICK_SIDE) + offset];
 }

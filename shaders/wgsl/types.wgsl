@@ -1,46 +1,56 @@
 // Records shared with the host: the host's mirror of each struct is in src/layout.rs, checked against this file.
 
-// Nodes along one edge of a brick; a brick holds BRICK_EDGE^3 node values, x fastest.
-override BRICK_EDGE: u32;
-// Entry of the brick index where no brick is allocated: its nodes are zero.
-override ABSENT_BRICK: u32;
+// Nodes along one edge of a brick; a brick holds BRICK_SIDE^3 node values, x fastest.
+override BRICK_SIDE: u32;
 
-// One lattice level of a density pyramid. Node (i, j, k) of the level lies at origin + (i, j, k) * voxel_m.
+// One lattice level of a density pyramid. Node (i, j, k) of the level lies at origin_m + (i, j, k) * voxel_m.
 struct Level {
-    origin: vec3<f32>,
+    origin_m: vec3<f32>,
     voxel_m: f32,
-    // Bricks along x, y and z.
+    // Brick positions along x, y and z.
     bricks: vec3<u32>,
-    // Where the level's dense brick index starts in brick_index.
+    // Where the level's dense brick index starts in brick_index; its entries number the bricks of all levels together.
     index_start: u32,
 }
 
-// A ray in the field's local frame; distances are metres along the unit direction.
+// A stored block of 8^3 occupancy cells.
+struct Block {
+    // Bit (z * 8 + y) * 8 + x of the 512 bits says that density may be in cell (x, y, z).
+    mask: array<u32, 16>,
+    // Step of a ray inside the block, metres.
+    step_m: f32,
+}
+
+// A ray in the field's local frame and the part of it to march; distances are metres along the unit direction.
 struct Ray {
-    origin: vec3<f32>,
-    t_near: f32,
+    origin_m: vec3<f32>,
+    t_min: f32,
     direction: vec3<f32>,
-    t_far: f32,
+    t_max: f32,
+    // Marching ends once tau exceeds this.
+    stop_tau: f32,
+    // Where in each interval the density is read, 0..1.
+    phase: f32,
 }
 
 // What marching found on one ray.
 struct RaySummary {
-    // Optical depth: sum of sigma * delta.
+    // Optical depth: sum of sigma * dt.
     tau: f32,
-    // Sum of the weights, 1 - exp(-tau).
+    // Sum of the samples' weights.
     accumulation: f32,
     // Sum of weight * t: the expected distance times the accumulation, in metres.
-    depth_m: f32,
-    // Samples recorded for the ray; later kernels read it and never decide again.
+    weighted_distance_m: f32,
+    // Samples the ray took; later kernels read it and never decide again.
     sample_count: u32,
 }
 
-// One sample on a ray.
+// One interval of a ray with the density at a point in it.
 struct RaySample {
-    // Distance of the middle of the interval, metres.
+    // Distance from the ray's origin to the sampled point, metres.
     t: f32,
     // Length of the interval, metres.
-    delta: f32,
-    // Density at the middle, 1/m.
+    dt: f32,
+    // Density, 1/m.
     sigma: f32,
 }

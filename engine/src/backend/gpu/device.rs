@@ -1,0 +1,125 @@
+//! Choosing and opening a GPU adapter.
+
+use std::sync::{Arc, Mutex};
+
+use super::error::Error;
+
+/// An open device with its queue. Cloning shares it.
+#[derive(Clone, Debug)]
+pub struct Device {
+    pub(super) device: wgpu::Device,
+    pub(super) queue: wgpu::Queue,
+    pub(super) limits: wgpu::Limits,
+    info: wgpu::AdapterInfo,
+    /// Why the device was lost, once it is.
+    lost: Arc<Mutex<Option<String>>>,
+}
+
+impl Device {
+    /// Opens the best adapter: a discrete GPU before an integrated one before a software one.
+    ///
+    /// # Errors
+    /// [`Error::NoAdapter`] where there is none, [`Error::Open`] where the driver refuses.
+    pub fn open() -> Result<Self, Error> {
+        let mut adapters = enumerate();
+        adapters.sort_by_key(|adapter| preference(adapter.get_info().device_type));
+        let adapter = adapters.into_iter().next().ok_or_else(|| Error::NoAdapter {
+            reason: "no driver for Vulkan, Metal or Direct3D 12 answered".to_owned(),
+        })?;
+        Self::from_adapter(&adapter)
+    }
+
+    fn from_adapter(adapter: &wgpu::Adapter) -> Result<Self, Error> {
+        let info = adapter.get_info();
+        // The adapter's own limits: wgpu's defaults would cap a binding at 128 MiB on any card.
+        let limits = adapter.limits();
+        let descriptor = wgpu::DeviceDescriptor {
+            label: Some("backlot"),
+            required_features: wgpu::Features::empty(),
+            required_limits: limits.clone(),
+            ..Default::default()
+        };
+        let (device, queue) = pollster::block_on(adapter.request_device(&descriptor)).map_err(|error| Error::Open {
+            adapter: info.name.clone(),
+            reason: error.to_string(),
+        })?;
+        let lost = Arc::new(Mutex::new(None));
+        let record = Arc::clone(&lost);
+        device.set_device_lost_callback(move |reason, message| {
+            if let Ok(mut lost) = record.lock() {
+                *lost = Some(format!("{reason:?}: {message}"));
+            }
+        });
+        // Every call runs in an error scope; what escapes them is logged, where wgpu's default would panic.
+        device.on_uncaptured_error(Arc::new(|error| tracing::error!(%error, "uncaptured device error")));
+        Ok(Self { device, queue, limits, info, lost })
+    }
+
+    /// The adapter's name, driver and kind, for people and provenance.
+    pub fn description(&self) -> String {
+        let wgpu::AdapterInfo { name, driver, driver_info, backend, device_type, .. } = &self.info;
+        format!("{name} ({device_type:?}, {backend:?}, {driver} {driver_info})")
+    }
+
+    /// Largest buffer that a kernel can bind, bytes.
+    pub fn max_binding_bytes(&self) -> u64 {
+        u64::from(self.limits.max_storage_buffer_binding_size).min(self.limits.max_buffer_size)
+    }
+
+    /// Runs calls that record no error themselves and turns what the driver says about them into an error of `stage`.
+    pub(super) fn checked<T>(&self, stage: &'static str, calls: impl FnOnce() -> T) -> Result<T, Error> {
+        self.alive()?;
+        let memory = self.device.push_error_scope(wgpu::ErrorFilter::OutOfMemory);
+        let internal = self.device.push_error_scope(wgpu::ErrorFilter::Internal);
+        let validation = self.device.push_error_scope(wgpu::ErrorFilter::Validation);
+        let value = calls();
+        // Scopes are a stack: pop in reverse.
+        let validation = pollster::block_on(validation.pop());
+        let internal = pollster::block_on(internal.pop());
+        let memory = pollster::block_on(memory.pop());
+        self.alive()?;
+        if memory.is_some() {
+            return Err(Error::OutOfMemory { stage });
+        }
+        match validation.or(internal) {
+            Some(error) => Err(Error::Rejected { stage, reason: error.to_string() }),
+            None => Ok(value),
+        }
+    }
+
+    /// Waits until everything submitted so far is done.
+    pub(super) fn wait(&self) -> Result<(), Error> {
+        let polled = self.device.poll(wgpu::PollType::wait_indefinitely());
+        self.alive()?;
+        polled.map(|_| ()).map_err(|error| Error::Rejected { stage: "wait", reason: error.to_string() })
+    }
+
+    fn alive(&self) -> Result<(), Error> {
+        let lost = self.lost.lock().map_or_else(|poisoned| poisoned.into_inner().clone(), |lost| lost.clone());
+        match lost {
+            Some(reason) => Err(Error::Lost { reason }),
+            None => Ok(()),
+        }
+    }
+
+    /// Destroys the device, as a driver reset would.
+    #[cfg(test)]
+    pub(super) fn destroy(&self) {
+        self.device.destroy();
+    }
+}
+
+fn enumerate() -> Vec<wgpu::Adapter> {
+    let instance = wgpu::Instance::new(wgpu::InstanceDescriptor::new_without_display_handle());
+    pollster::block_on(instance.enumerate_adapters(wgpu::Backends::all()))
+}
+
+fn preference(kind: wgpu::DeviceType) -> u8 {
+    match kind {
+        wgpu::DeviceType::DiscreteGpu => 0,
+        wgpu::DeviceType::IntegratedGpu => 1,
+        wgpu::DeviceType::VirtualGpu => 2,
+        wgpu::DeviceType::Cpu => 3,
+        wgpu::DeviceType::Other => 4,
+    }
+}

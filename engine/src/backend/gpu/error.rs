@@ -1,0 +1,37 @@
+//! What can go wrong between the host and a device.
+
+/// A device's refusal or failure; becomes [`crate::Error`] at the backend's boundary.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum Error {
+    /// Nothing on this machine can run compute kernels.
+    #[error("no GPU adapter with compute was found: {reason}")]
+    NoAdapter { reason: String },
+    /// The adapter is there and opening it failed.
+    #[error("open {adapter}: {reason}")]
+    Open { adapter: String, reason: String },
+    /// The device is gone; everything on it is lost, and a new device must be opened.
+    #[error("device lost: {reason}")]
+    Lost { reason: String },
+    /// One buffer is larger than the adapter can bind.
+    #[error("{what} needs {needed_bytes} bytes in one buffer, the adapter binds {available_bytes}")]
+    TooLarge {
+        what: &'static str,
+        needed_bytes: u64,
+        available_bytes: u64,
+    },
+    /// The device has no memory left.
+    #[error("out of device memory in {stage}")]
+    OutOfMemory { stage: &'static str },
+    /// The driver refused a call that is legal for all we know.
+    #[error("{stage}: {reason}")]
+    Rejected { stage: &'static str, reason: String },
+}
+
+impl From<Error> for crate::Error {
+    fn from(error: Error) -> Self {
+        match error {
+            Error::TooLarge { what, needed_bytes, available_bytes } => Self::OutOfMemory { what, needed_bytes, available_bytes },
+            other => Self::Device { what: other.to_string() },
+        }
+    }
+}
