@@ -56,9 +56,9 @@ pub struct MarchRange {
 }
 
 /// Below this density (1/m) a sample is dropped: 100 m of it hide less than 1e-3.
-const SIGMA_MIN: f32 = 1e-5;
+pub(crate) const SIGMA_MIN: f32 = 1e-5;
 /// Steps past a cell's face, so that the next look-up is in the next cell: in cells.
-const FACE_NUDGE: f32 = 1e-3;
+pub(crate) const FACE_NUDGE: f32 = 1e-3;
 
 /// Appends the samples of one ray to `out`, near to far, and returns the optical depth reached.
 pub(super) fn march(field: &Field, ray: Ray, range: MarchRange, out: &mut Vec<RaySample>) -> f32 {

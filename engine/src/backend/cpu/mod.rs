@@ -1,1 +1,33 @@
-//! The CPU backend.
+//! The CPU backend: needs nothing installed, and is the oracle of the GPU's kernels.
+//!
+//! Marching is plain scalar code that the compiler neither reorders nor fuses, so its results are the same on every machine.
+
+mod march;
+
+use std::sync::Arc;
+
+use super::{Backend, LoadedField};
+use crate::Result;
+use crate::field::Field;
+
+/// The processor this runs on.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct CpuBackend;
+
+impl Backend for CpuBackend {
+    fn name(&self) -> &'static str {
+        "cpu"
+    }
+
+    fn device(&self) -> String {
+        format!(
+            "{} with {} threads",
+            std::env::consts::ARCH,
+            rayon::current_num_threads()
+        )
+    }
+
+    fn load(&self, field: &Arc<Field>) -> Result<Box<dyn LoadedField>> {
+        Ok(Box::new(march::CpuField::new(Arc::clone(field))))
+    }
+}

@@ -10,7 +10,7 @@ use super::error::Error;
 
 /// A device buffer of `len` values of `T`.
 #[derive(Debug)]
-pub struct Buffer<T> {
+pub(super) struct Buffer<T> {
     pub(super) raw: wgpu::Buffer,
     label: &'static str,
     len: usize,
@@ -22,9 +22,16 @@ impl<T: NoUninit + AnyBitPattern> Buffer<T> {
     ///
     /// # Errors
     /// [`Error::TooLarge`] beyond the adapter's binding size, [`Error::OutOfMemory`] where the device is full.
-    pub fn from_slice(device: &Device, label: &'static str, values: &[T], usage: wgpu::BufferUsages) -> Result<Self, Error> {
+    pub(super) fn from_slice(
+        device: &Device,
+        label: &'static str,
+        values: &[T],
+        usage: wgpu::BufferUsages,
+    ) -> Result<Self, Error> {
         let buffer = Self::zeroed(device, label, values.len().max(1), usage)?;
-        device.queue.write_buffer(&buffer.raw, 0, bytemuck::cast_slice(values));
+        device
+            .queue
+            .write_buffer(&buffer.raw, 0, bytemuck::cast_slice(values));
         Ok(buffer)
     }
 
@@ -32,11 +39,20 @@ impl<T: NoUninit + AnyBitPattern> Buffer<T> {
     ///
     /// # Errors
     /// As [`Self::from_slice`].
-    pub fn zeroed(device: &Device, label: &'static str, len: usize, usage: wgpu::BufferUsages) -> Result<Self, Error> {
+    pub(super) fn zeroed(
+        device: &Device,
+        label: &'static str,
+        len: usize,
+        usage: wgpu::BufferUsages,
+    ) -> Result<Self, Error> {
         let bytes = len as u64 * size_of::<T>() as u64;
         let available_bytes = device.max_binding_bytes();
         if bytes > available_bytes {
-            return Err(Error::TooLarge { what: label, needed_bytes: bytes, available_bytes });
+            return Err(Error::TooLarge {
+                what: label,
+                needed_bytes: bytes,
+                available_bytes,
+            });
         }
         let descriptor = wgpu::BufferDescriptor {
             label: Some(label),
@@ -45,21 +61,44 @@ impl<T: NoUninit + AnyBitPattern> Buffer<T> {
             mapped_at_creation: false,
         };
         let raw = device.checked(label, || device.device.create_buffer(&descriptor))?;
-        Ok(Self { raw, label, len, element: PhantomData })
+        Ok(Self {
+            raw,
+            label,
+            len,
+            element: PhantomData,
+        })
+    }
+
+    /// Size on the device.
+    pub(super) fn bytes(&self) -> u64 {
+        self.raw.size()
     }
 
     /// Overwrites the first `values.len()` values.
-    pub fn write(&self, device: &Device, values: &[T]) {
-        assert!(values.len() <= self.len, "{}: {} values into a buffer of {}", self.label, values.len(), self.len);
-        device.queue.write_buffer(&self.raw, 0, bytemuck::cast_slice(values));
+    pub(super) fn write(&self, device: &Device, values: &[T]) {
+        assert!(
+            values.len() <= self.len,
+            "{}: {} values into a buffer of {}",
+            self.label,
+            values.len(),
+            self.len
+        );
+        device
+            .queue
+            .write_buffer(&self.raw, 0, bytemuck::cast_slice(values));
     }
 
     /// Copies the first `len` values back to the host; waits for the device.
     ///
     /// # Errors
     /// [`Error::Lost`] and what else the driver says.
-    pub fn read(&self, device: &Device, len: usize) -> Result<Vec<T>, Error> {
-        assert!(len <= self.len, "{}: reading {len} values of {}", self.label, self.len);
+    pub(super) fn read(&self, device: &Device, len: usize) -> Result<Vec<T>, Error> {
+        assert!(
+            len <= self.len,
+            "{}: reading {len} values of {}",
+            self.label,
+            self.len
+        );
         if len == 0 {
             return Ok(Vec::new());
         }
@@ -71,7 +110,12 @@ impl<T: NoUninit + AnyBitPattern> Buffer<T> {
                 usage: wgpu::BufferUsages::MAP_READ | wgpu::BufferUsages::COPY_DST,
                 mapped_at_creation: false,
             });
-            let mut encoder = device.device.create_command_encoder(&wgpu::CommandEncoderDescriptor { label: Some("readback") });
+            let mut encoder =
+                device
+                    .device
+                    .create_command_encoder(&wgpu::CommandEncoderDescriptor {
+                        label: Some("readback"),
+                    });
             encoder.copy_buffer_to_buffer(&self.raw, 0, &staging, 0, bytes);
             device.queue.submit([encoder.finish()]);
             staging
@@ -82,9 +126,17 @@ impl<T: NoUninit + AnyBitPattern> Buffer<T> {
             let _ = mapped.try_send(result);
         });
         device.wait()?;
-        let rejected = |reason: String| Error::Rejected { stage: self.label, reason };
-        is_mapped.recv().map_err(|e| rejected(e.to_string()))?.map_err(|e| rejected(e.to_string()))?;
-        let view = staging.get_mapped_range(..).map_err(|e| rejected(e.to_string()))?;
+        let rejected = |reason: String| Error::Rejected {
+            stage: self.label,
+            reason,
+        };
+        is_mapped
+            .recv()
+            .map_err(|e| rejected(e.to_string()))?
+            .map_err(|e| rejected(e.to_string()))?;
+        let view = staging
+            .get_mapped_range(..)
+            .map_err(|e| rejected(e.to_string()))?;
         Ok(bytemuck::pod_collect_to_vec(&view))
     }
 }

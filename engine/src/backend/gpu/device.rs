@@ -23,9 +23,12 @@ impl Device {
     pub fn open() -> Result<Self, Error> {
         let mut adapters = enumerate();
         adapters.sort_by_key(|adapter| preference(adapter.get_info().device_type));
-        let adapter = adapters.into_iter().next().ok_or_else(|| Error::NoAdapter {
-            reason: "no driver for Vulkan, Metal or Direct3D 12 answered".to_owned(),
-        })?;
+        let adapter = adapters
+            .into_iter()
+            .next()
+            .ok_or_else(|| Error::NoAdapter {
+                reason: "no driver for Vulkan, Metal or Direct3D 12 answered".to_owned(),
+            })?;
         Self::from_adapter(&adapter)
     }
 
@@ -39,10 +42,13 @@ impl Device {
             required_limits: limits.clone(),
             ..Default::default()
         };
-        let (device, queue) = pollster::block_on(adapter.request_device(&descriptor)).map_err(|error| Error::Open {
-            adapter: info.name.clone(),
-            reason: error.to_string(),
-        })?;
+        let (device, queue) =
+            pollster::block_on(adapter.request_device(&descriptor)).map_err(|error| {
+                Error::Open {
+                    adapter: info.name.clone(),
+                    reason: error.to_string(),
+                }
+            })?;
         let lost = Arc::new(Mutex::new(None));
         let record = Arc::clone(&lost);
         device.set_device_lost_callback(move |reason, message| {
@@ -51,13 +57,28 @@ impl Device {
             }
         });
         // Every call runs in an error scope; what escapes them is logged, where wgpu's default would panic.
-        device.on_uncaptured_error(Arc::new(|error| tracing::error!(%error, "uncaptured device error")));
-        Ok(Self { device, queue, limits, info, lost })
+        device.on_uncaptured_error(Arc::new(
+            |error| tracing::error!(%error, "uncaptured device error"),
+        ));
+        Ok(Self {
+            device,
+            queue,
+            limits,
+            info,
+            lost,
+        })
     }
 
     /// The adapter's name, driver and kind, for people and provenance.
     pub fn description(&self) -> String {
-        let wgpu::AdapterInfo { name, driver, driver_info, backend, device_type, .. } = &self.info;
+        let wgpu::AdapterInfo {
+            name,
+            driver,
+            driver_info,
+            backend,
+            device_type,
+            ..
+        } = &self.info;
         format!("{name} ({device_type:?}, {backend:?}, {driver} {driver_info})")
     }
 
@@ -67,7 +88,11 @@ impl Device {
     }
 
     /// Runs calls that record no error themselves and turns what the driver says about them into an error of `stage`.
-    pub(super) fn checked<T>(&self, stage: &'static str, calls: impl FnOnce() -> T) -> Result<T, Error> {
+    pub(super) fn checked<T>(
+        &self,
+        stage: &'static str,
+        calls: impl FnOnce() -> T,
+    ) -> Result<T, Error> {
         self.alive()?;
         let memory = self.device.push_error_scope(wgpu::ErrorFilter::OutOfMemory);
         let internal = self.device.push_error_scope(wgpu::ErrorFilter::Internal);
@@ -82,7 +107,10 @@ impl Device {
             return Err(Error::OutOfMemory { stage });
         }
         match validation.or(internal) {
-            Some(error) => Err(Error::Rejected { stage, reason: error.to_string() }),
+            Some(error) => Err(Error::Rejected {
+                stage,
+                reason: error.to_string(),
+            }),
             None => Ok(value),
         }
     }
@@ -91,11 +119,17 @@ impl Device {
     pub(super) fn wait(&self) -> Result<(), Error> {
         let polled = self.device.poll(wgpu::PollType::wait_indefinitely());
         self.alive()?;
-        polled.map(|_| ()).map_err(|error| Error::Rejected { stage: "wait", reason: error.to_string() })
+        polled.map(|_| ()).map_err(|error| Error::Rejected {
+            stage: "wait",
+            reason: error.to_string(),
+        })
     }
 
     fn alive(&self) -> Result<(), Error> {
-        let lost = self.lost.lock().map_or_else(|poisoned| poisoned.into_inner().clone(), |lost| lost.clone());
+        let lost = self.lost.lock().map_or_else(
+            |poisoned| poisoned.into_inner().clone(),
+            |lost| lost.clone(),
+        );
         match lost {
             Some(reason) => Err(Error::Lost { reason }),
             None => Ok(()),

@@ -30,8 +30,18 @@ pub enum Error {
 impl From<Error> for crate::Error {
     fn from(error: Error) -> Self {
         match error {
-            Error::TooLarge { what, needed_bytes, available_bytes } => Self::OutOfMemory { what, needed_bytes, available_bytes },
-            other => Self::Device { what: other.to_string() },
+            Error::TooLarge {
+                what,
+                needed_bytes,
+                available_bytes,
+            } => Self::OutOfMemory {
+                what,
+                needed_bytes,
+                available_bytes,
+            },
+            other => Self::Device {
+                what: other.to_string(),
+            },
         }
     }
 }

@@ -7,7 +7,7 @@ use super::error::Error;
 
 /// A compiled kernel.
 #[derive(Debug)]
-pub struct Pipeline {
+pub(super) struct Pipeline {
     pipeline: wgpu::ComputePipeline,
     layout: wgpu::BindGroupLayout,
     kernel: Kernel,
@@ -15,17 +15,20 @@ pub struct Pipeline {
 
 /// Workgroups of a dispatch over one thread an item, folded into two dimensions.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Groups {
-    pub x: u32,
-    pub y: u32,
+pub(super) struct Groups {
+    pub(super) x: u32,
+    pub(super) y: u32,
 }
 
 impl Groups {
     /// Enough workgroups of `size` for `items`, at most `max_x` along x.
-    pub fn cover(items: u32, size: u32, max_x: u32) -> Self {
+    pub(super) fn cover(items: u32, size: u32, max_x: u32) -> Self {
         let groups = items.div_ceil(size).max(1);
         let y = groups.div_ceil(max_x);
-        Self { x: groups.div_ceil(y), y }
+        Self {
+            x: groups.div_ceil(y),
+            y,
+        }
     }
 }
 
@@ -34,55 +37,101 @@ impl Pipeline {
     ///
     /// # Errors
     /// [`Error::Rejected`] where the driver does not take the kernel.
-    pub fn new(device: &Device, kernel: &Kernel) -> Result<Self, Error> {
-        let entries: Vec<_> = (0..).zip(kernel.bindings).map(|(number, binding)| layout_entry(number, binding)).collect();
+    pub(super) fn new(device: &Device, kernel: &Kernel) -> Result<Self, Error> {
+        let entries: Vec<_> = (0..)
+            .zip(kernel.bindings)
+            .map(|(number, binding)| layout_entry(number, binding))
+            .collect();
         let constants = kernel.constants();
         let (pipeline, layout) = device.checked(kernel.name, || {
-            let module = device.device.create_shader_module(wgpu::ShaderModuleDescriptor {
-                label: Some(kernel.name),
-                source: wgpu::ShaderSource::Wgsl(kernel.source.into()),
-            });
-            let layout = device.device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
-                label: Some(kernel.name),
-                entries: &entries,
-            });
-            let pipeline_layout = device.device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
-                label: Some(kernel.name),
-                bind_group_layouts: &[Some(&layout)],
-                immediate_size: 0,
-            });
-            let pipeline = device.device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
-                label: Some(kernel.name),
-                layout: Some(&pipeline_layout),
-                module: &module,
-                entry_point: Some(kernel.name),
-                compilation_options: wgpu::PipelineCompilationOptions { constants: &constants, ..Default::default() },
-                cache: None,
-            });
+            let module = device
+                .device
+                .create_shader_module(wgpu::ShaderModuleDescriptor {
+                    label: Some(kernel.name),
+                    source: wgpu::ShaderSource::Wgsl(kernel.source.into()),
+                });
+            let layout = device
+                .device
+                .create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
+                    label: Some(kernel.name),
+                    entries: &entries,
+                });
+            let pipeline_layout =
+                device
+                    .device
+                    .create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
+                        label: Some(kernel.name),
+                        bind_group_layouts: &[Some(&layout)],
+                        immediate_size: 0,
+                    });
+            let pipeline =
+                device
+                    .device
+                    .create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
+                        label: Some(kernel.name),
+                        layout: Some(&pipeline_layout),
+                        module: &module,
+                        entry_point: Some(kernel.name),
+                        compilation_options: wgpu::PipelineCompilationOptions {
+                            constants: &constants,
+                            ..Default::default()
+                        },
+                        cache: None,
+                    });
             (pipeline, layout)
         })?;
-        Ok(Self { pipeline, layout, kernel: *kernel })
+        Ok(Self {
+            pipeline,
+            layout,
+            kernel: *kernel,
+        })
     }
 
-    pub fn groups(&self, device: &Device, items: u32) -> Groups {
-        Groups::cover(items, self.kernel.workgroup_size, device.limits.max_compute_workgroups_per_dimension)
+    pub(super) fn groups(&self, device: &Device, items: u32) -> Groups {
+        Groups::cover(
+            items,
+            self.kernel.workgroup_size,
+            device.limits.max_compute_workgroups_per_dimension,
+        )
     }
 
     /// Runs the kernel over `groups` with `buffers` in the order of its bindings, and does not wait.
     ///
     /// # Errors
     /// [`Error::Lost`] or [`Error::Rejected`].
-    pub fn dispatch(&self, device: &Device, groups: Groups, buffers: &[&wgpu::Buffer]) -> Result<(), Error> {
-        assert_eq!(buffers.len(), self.kernel.bindings.len(), "{}: buffers and bindings", self.kernel.name);
+    pub(super) fn dispatch(
+        &self,
+        device: &Device,
+        groups: Groups,
+        buffers: &[&wgpu::Buffer],
+    ) -> Result<(), Error> {
+        assert_eq!(
+            buffers.len(),
+            self.kernel.bindings.len(),
+            "{}: buffers and bindings",
+            self.kernel.name
+        );
         let entries: Vec<_> = (0..)
             .zip(buffers)
-            .map(|(binding, buffer)| wgpu::BindGroupEntry { binding, resource: buffer.as_entire_binding() })
+            .map(|(binding, buffer)| wgpu::BindGroupEntry {
+                binding,
+                resource: buffer.as_entire_binding(),
+            })
             .collect();
         let label = Some(self.kernel.name);
         device.checked(self.kernel.name, || {
-            let group = device.device.create_bind_group(&wgpu::BindGroupDescriptor { label, layout: &self.layout, entries: &entries });
-            let mut encoder = device.device.create_command_encoder(&wgpu::CommandEncoderDescriptor { label });
-            let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor { label, timestamp_writes: None });
+            let group = device.device.create_bind_group(&wgpu::BindGroupDescriptor {
+                label,
+                layout: &self.layout,
+                entries: &entries,
+            });
+            let mut encoder = device
+                .device
+                .create_command_encoder(&wgpu::CommandEncoderDescriptor { label });
+            let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
+                label,
+                timestamp_writes: None,
+            });
             pass.set_pipeline(&self.pipeline);
             pass.set_bind_group(0, &group, &[]);
             pass.dispatch_workgroups(groups.x, groups.y, 1);
@@ -118,8 +167,14 @@ mod tests {
     fn groups_cover_every_item_within_the_limit() {
         for items in [0, 1, 64, 65, 4096, 64 * 65_535, 64 * 65_535 + 1, u32::MAX] {
             let groups = Groups::cover(items, 64, 65_535);
-            assert!(groups.x <= 65_535 && groups.y <= 65_535, "{items}: {groups:?}");
-            assert!(u64::from(groups.x) * u64::from(groups.y) * 64 >= u64::from(items), "{items}: {groups:?}");
+            assert!(
+                groups.x <= 65_535 && groups.y <= 65_535,
+                "{items}: {groups:?}"
+            );
+            assert!(
+                u64::from(groups.x) * u64::from(groups.y) * 64 >= u64::from(items),
+                "{items}: {groups:?}"
+            );
         }
     }
 }

@@ -1,0 +1,127 @@
+//! A field in device buffers.
+
+use backlot_shaders::layout;
+use wgpu::BufferUsages;
+
+use super::buffer::Buffer;
+use super::device::Device;
+use super::error::Error;
+use crate::field::march::{FACE_NUDGE, SIGMA_MIN};
+use crate::field::{BRICK_NODES, Field, Lattice, NULL_BRICK, Occupancy};
+
+const _: () = assert!(
+    BRICK_NODES
+        == (backlot_shaders::BRICK_SIDE * backlot_shaders::BRICK_SIDE * backlot_shaders::BRICK_SIDE)
+            as usize,
+    "kernels and fields agree on the brick"
+);
+
+/// Density and occupancy of a field. All levels share one brick numbering, whose brick 0 is the null brick of each.
+#[derive(Debug)]
+pub(super) struct ResidentField {
+    pub(super) levels: Buffer<layout::Level>,
+    pub(super) brick_index: Buffer<u32>,
+    pub(super) density: Buffer<f32>,
+    pub(super) block_index: Buffer<u32>,
+    pub(super) blocks: Buffer<layout::Block>,
+    /// The field's constants; the dispatch's fields are zero.
+    pub(super) params: layout::MarchParams,
+    pub(super) bytes: u64,
+}
+
+impl ResidentField {
+    pub(super) fn upload(device: &Device, field: &Field) -> Result<Self, Error> {
+        let pyramid = flatten(field.levels());
+        let occupancy = field.occupancy();
+        let blocks = blocks(occupancy);
+        let storage = BufferUsages::STORAGE;
+        let resident = Self {
+            levels: Buffer::from_slice(device, "levels", &pyramid.levels, storage)?,
+            brick_index: Buffer::from_slice(device, "brick index", &pyramid.brick_index, storage)?,
+            density: Buffer::from_slice(device, "density", &pyramid.density, storage)?,
+            block_index: Buffer::from_slice(device, "occupancy index", occupancy.index(), storage)?,
+            blocks: Buffer::from_slice(device, "occupancy blocks", &blocks, storage)?,
+            params: params(field),
+            bytes: 0,
+        };
+        let bytes = resident.levels.bytes()
+            + resident.brick_index.bytes()
+            + resident.density.bytes()
+            + resident.block_index.bytes()
+            + resident.blocks.bytes();
+        Ok(Self { bytes, ..resident })
+    }
+}
+
+struct Pyramid {
+    levels: Vec<layout::Level>,
+    brick_index: Vec<u32>,
+    density: Vec<f32>,
+}
+
+/// Puts the levels one after the other; every level's null brick becomes brick 0.
+fn flatten(levels: &[Lattice]) -> Pyramid {
+    let mut pyramid = Pyramid {
+        levels: Vec::new(),
+        brick_index: Vec::new(),
+        density: vec![0.0; BRICK_NODES],
+    };
+    for level in levels {
+        // The level's brick 1 comes after what is there already.
+        let shift = (pyramid.density.len() / BRICK_NODES) as u32 - 1;
+        pyramid.levels.push(layout::Level {
+            origin_m: level.origin_m().to_array(),
+            voxel_m: level.voxel_m(),
+            bricks: level.bricks_per_axis().to_array(),
+            index_start: pyramid.brick_index.len() as u32,
+        });
+        let shifted = |&brick: &u32| {
+            if brick == NULL_BRICK {
+                NULL_BRICK
+            } else {
+                brick + shift
+            }
+        };
+        pyramid
+            .brick_index
+            .extend(level.index().iter().map(shifted));
+        pyramid
+            .density
+            .extend_from_slice(&level.density()[BRICK_NODES..]);
+    }
+    pyramid
+}
+
+fn blocks(occupancy: &Occupancy) -> Vec<layout::Block> {
+    let stored = occupancy.masks().iter().zip(occupancy.steps_m());
+    let block = |(words, step_m): (&[u64; 8], &f32)| {
+        let mut mask = [0; 16];
+        for (halves, word) in mask.chunks_exact_mut(2).zip(words) {
+            halves.copy_from_slice(&[*word as u32, (*word >> 32) as u32]);
+        }
+        layout::Block {
+            mask,
+            step_m: *step_m,
+        }
+    };
+    stored.map(block).collect()
+}
+
+fn params(field: &Field) -> layout::MarchParams {
+    let (low, high) = field.bounds();
+    let (occupancy, activation) = (field.occupancy(), field.activation());
+    layout::MarchParams {
+        low_m: low.to_array(),
+        high_m: high.to_array(),
+        base_voxel_m: activation.base_voxel_m,
+        act_shift: activation.act_shift,
+        occupancy_origin_m: occupancy.origin_m().to_array(),
+        cell_m: occupancy.cell_m(),
+        blocks: occupancy.blocks_per_axis().to_array(),
+        level_count: field.levels().len() as u32,
+        step_growth: field.step_growth,
+        sigma_min: SIGMA_MIN,
+        nudge_m: FACE_NUDGE * occupancy.cell_m(),
+        ..Default::default()
+    }
+}

@@ -1,0 +1,63 @@
+//! Where the engine's arithmetic runs: one boundary, two implementations.
+//!
+//! A [`Backend`] is a device; a [`LoadedField`] is a field resident on it. Callers hand over borrowed host data and get host data
+//! back, in stages whose decisions (how many samples, where) are in the result, so that a later stage never decides again.
+//! Storage is the field's own: brick-sparse levels behind dense indices, split by parameter (density apart from features).
+//! `cpu` runs everywhere and is the oracle; `gpu` runs the kernels of `backlot-shaders` on what wgpu finds. Nothing outside
+//! `gpu` names wgpu.
+
+mod marched;
+
+pub mod cpu;
+
+#[cfg(feature = "gpu")]
+pub mod gpu;
+
+pub use marched::{Marched, RaySummary};
+
+use std::fmt::Debug;
+use std::sync::Arc;
+
+use crate::Result;
+use crate::field::{Field, MarchRange, Ray};
+
+/// A device that computes.
+pub trait Backend: Send + Sync + Debug {
+    /// `cpu` or `gpu`.
+    fn name(&self) -> &'static str;
+
+    /// Device, driver and instruction set in one line, for people and for the provenance of what is computed here.
+    fn device(&self) -> String;
+
+    /// Makes a field resident. It stays as it was at this moment.
+    ///
+    /// # Errors
+    /// [`crate::Error::OutOfMemory`] with needed and available bytes where it does not fit, [`crate::Error::Device`] if the device is lost.
+    fn load(&self, field: &Arc<Field>) -> Result<Box<dyn LoadedField>>;
+}
+
+/// A field resident on a device. Dropping it frees the device's memory.
+pub trait LoadedField: Send + Sync + Debug {
+    /// Bytes held on the device.
+    fn resident_bytes(&self) -> u64;
+
+    /// Marches rays through the field's occupied space, as [`Field::march_ray`] defines it, and composites each.
+    ///
+    /// `samples_per_ray` bounds the samples of any one ray. `cancelled` is asked between pieces of at most a few milliseconds' work.
+    ///
+    /// # Errors
+    /// [`crate::Error::Invalid`] if a ray takes more samples than `samples_per_ray`, [`crate::Error::Cancelled`], or the device's.
+    fn march(
+        &self,
+        rays: &[MarchRay],
+        samples_per_ray: u32,
+        cancelled: &dyn Fn() -> bool,
+    ) -> Result<Marched>;
+}
+
+/// One ray to march, with a unit direction in the field's local frame.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MarchRay {
+    pub ray: Ray,
+    pub range: MarchRange,
+}
