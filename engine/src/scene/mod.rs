@@ -1,7 +1,8 @@
 //! From assets to new labelled scenes.
 //!
 //! A [`Recording`] says what a background's log saw: cameras, poses and tracked cuboids. The [`ValidRegion`] says where an
-//! object may stand in it. [`compose`] draws a pose and places objects by a [`Recipe`].
+//! object may stand in it. [`compose`] draws a pose and places objects by a [`Recipe`]. [`render`] merges the fields in one
+//! volume pass.
 
 mod random;
 
@@ -20,13 +21,19 @@ mod recipe;
 mod rejection;
 mod sight;
 
+mod merge;
+mod render;
+mod tile;
+
 pub use collision::{Occupied, intersection_area_m2};
 pub use composition::{ATTEMPTS, Candidate, Composition, Origin, PlacedObject, Stage, compose};
 pub use density::{DensityField, HALF_TAU};
 pub use footprint::{Footprint, GroundPlane};
+pub use merge::{Merged, composite, merge};
 pub use projection::{PixelBox, amodal_box, corners};
 pub use random::Draws;
 pub use recipe::{Jitter, MAX_OBJECTS, MAX_SIDE_PX, PlacementPreset, Recipe};
 pub use recording::{RecordedCamera, RecordedFrame, RecordedTrack, Recording};
 pub use rejection::Rejection;
+pub use render::{RenderOptions, RenderedFrame, Scene, SceneObject, StaticObject, render};
 pub use valid_region::{Cell, NO_GROUND, Unsupported, ValidRegion};

@@ -40,11 +40,15 @@ const DISTORTED_CHORDS: u32 = 32;
 /// Bounds of the projection of a cuboid whose part nearer than [`NEAR_M`] is cut off (not only its corners: an edge that
 /// crosses the near plane is cut there). May reach outside the image; `None` if everything is nearer.
 pub fn amodal_box(camera: &Camera, camera_from_cuboid: &Rigid, size_m: DVec3) -> Option<PixelBox> {
+    box_of_corners(camera, &corners(camera_from_cuboid, size_m))
+}
+
+/// [`amodal_box`] of a box by its corners in the camera frame, ordered as in [`corners`].
+pub(super) fn box_of_corners(camera: &Camera, corners: &[DVec3; 8]) -> Option<PixelBox> {
     let chords = match camera.distortion {
         Distortion::None => 1,
         _ => DISTORTED_CHORDS,
     };
-    let corners = corners(camera_from_cuboid, size_m);
     let mut bounds: Option<PixelBox> = None;
     for (from, to) in EDGES {
         let Some((a, b)) = cut_near(corners[from], corners[to]) else {

@@ -1,0 +1,336 @@
+//! Renders a scene in one volume pass: background, objects and sky on common samples.
+
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use glam::{DVec2, DVec3, Vec3};
+use rayon::prelude::*;
+
+use super::composition::{Composition, Origin};
+use super::projection::{PixelBox, box_of_corners};
+use super::tile::{TILE_PX, TileRenderer, TileResult};
+use crate::camera::{Camera, Rigid};
+use crate::field::Field;
+use crate::{Error, Result};
+
+/// Fields placed together, seen by one camera. Frames: the background's local frame and the objects' cuboid frames.
+#[derive(Debug)]
+pub struct Scene<'a> {
+    /// `None` renders objects over transparent black.
+    pub background: Option<&'a Field>,
+    pub objects: Vec<SceneObject<'a>>,
+    /// Objects that are part of the background: their pixels are found by depth.
+    pub statics: Vec<StaticObject>,
+    pub camera: Camera,
+    pub local_from_camera: Rigid,
+}
+
+/// A field placed in a scene.
+#[derive(Clone, Copy, Debug)]
+pub struct SceneObject<'a> {
+    pub instance_id: u16,
+    pub field: &'a Field,
+    pub local_from_object: Rigid,
+    /// Extents of the annotated cuboid in metres.
+    pub size_m: DVec3,
+}
+
+/// A cuboid of the background.
+#[derive(Clone, Copy, Debug)]
+pub struct StaticObject {
+    pub instance_id: u16,
+    pub local_from_object: Rigid,
+    pub size_m: DVec3,
+}
+
+impl<'a> Scene<'a> {
+    /// The scene of a composition. `field` gives the field of a library index.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] if `field` lacks one of the objects.
+    pub fn of_composition(
+        background: &'a Field,
+        composition: &Composition,
+        field: impl Fn(usize) -> Option<&'a Field>,
+    ) -> Result<Self> {
+        let mut scene = Self {
+            background: Some(background),
+            objects: Vec::new(),
+            statics: Vec::new(),
+            camera: composition.camera,
+            local_from_camera: composition.local_from_camera,
+        };
+        for object in &composition.objects {
+            match object.asset {
+                Some(asset) => scene.objects.push(SceneObject {
+                    instance_id: object.instance_id,
+                    field: field(asset)
+                        .ok_or_else(|| Error::invalid(format!("asset {asset} is not loaded")))?,
+                    local_from_object: object.local_from_object,
+                    size_m: object.size_m,
+                }),
+                None => {
+                    assert_eq!(object.origin, Origin::Static, "only statics have no asset");
+                    scene.statics.push(StaticObject {
+                        instance_id: object.instance_id,
+                        local_from_object: object.local_from_object,
+                        size_m: object.size_m,
+                    });
+                }
+            }
+        }
+        Ok(scene)
+    }
+}
+
+/// How a scene is rendered.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RenderOptions {
+    /// Rays per pixel side everywhere.
+    pub supersample: u32,
+    /// Rays per pixel side where an object may be whose voxels are smaller than a pixel; other pixels take `supersample`.
+    pub object_supersample: u32,
+}
+
+impl Default for RenderOptions {
+    fn default() -> Self {
+        Self {
+            supersample: 1,
+            object_supersample: 2,
+        }
+    }
+}
+
+/// A rendered image with its geometry; everything row-major, `height * width`.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RenderedFrame {
+    pub width: u32,
+    pub height: u32,
+    /// sRGB, three bytes a pixel.
+    pub rgb8: Vec<u8>,
+    /// Camera z in metres of the surface at which half of the light is gone; 0 where more than half is left.
+    pub depth_z_m: Vec<f32>,
+    /// Instance of each pixel, 0 for background and sky. An inserted object owns a pixel if all inserted objects together carry at
+    /// least half of its weight and it carries most of theirs; a static one if the pixel's surface lies in its cuboid.
+    pub instance: Vec<u16>,
+    /// 1 - transmittance of everything but the sky.
+    pub accumulation: Vec<f32>,
+    /// (instance id, pixels it would have alone in the scene) in the scene's order: objects, then statics.
+    pub alone_px: Vec<(u16, u32)>,
+}
+
+/// Renders a scene on rayon's threads.
+///
+/// The result does not depend on the order of `scene.objects` and is equal for equal builds and instruction sets.
+///
+/// # Errors
+/// [`Error::Cancelled`] once `cancelled` says so (asked per tile); [`Error::Invalid`] for a bad camera or pose.
+pub fn render(
+    scene: &Scene<'_>,
+    options: &RenderOptions,
+    cancelled: &(dyn Fn() -> bool + Sync),
+) -> Result<RenderedFrame> {
+    scene.camera.validate("scene camera")?;
+    check_poses(scene)?;
+    let prepared = Prepared::new(scene, options);
+    let (width, height) = (scene.camera.width, scene.camera.height);
+    let (columns, rows) = (width.div_ceil(TILE_PX), height.div_ceil(TILE_PX));
+    let stop = AtomicBool::new(false);
+    let tiles: Vec<TileResult> = (0..columns * rows)
+        .into_par_iter()
+        .map_init(
+            || TileRenderer::new(&prepared),
+            |renderer, tile| {
+                if stop.load(Ordering::Relaxed) || cancelled() {
+                    stop.store(true, Ordering::Relaxed);
+                    return TileResult::default();
+                }
+                renderer.render(tile % columns * TILE_PX, tile / columns * TILE_PX)
+            },
+        )
+        .collect();
+    if stop.into_inner() {
+        return Err(Error::Cancelled);
+    }
+    Ok(assemble(&prepared, tiles))
+}
+
+fn check_poses(scene: &Scene<'_>) -> Result<()> {
+    let poses = scene.objects.iter().map(|o| &o.local_from_object);
+    let statics = scene.statics.iter().map(|o| &o.local_from_object);
+    let finite = poses
+        .chain(statics)
+        .chain([&scene.local_from_camera])
+        .all(Rigid::is_finite);
+    if finite {
+        Ok(())
+    } else {
+        Err(Error::invalid("scene: a pose is not finite"))
+    }
+}
+
+/// A scene with what every ray needs worked out once.
+pub(super) struct Prepared<'a> {
+    pub(super) background: Option<&'a Field>,
+    /// Nearest first, so that the caller's order cannot matter.
+    pub(super) objects: Vec<PreparedObject<'a>>,
+    pub(super) statics: Vec<PreparedStatic>,
+    pub(super) camera: Camera,
+    pub(super) local_from_camera: Rigid,
+    pub(super) options: RenderOptions,
+    order: Vec<usize>,
+}
+
+pub(super) struct PreparedObject<'a> {
+    pub(super) instance_id: u16,
+    pub(super) field: &'a Field,
+    pub(super) object_from_local: Rigid,
+    pub(super) half_m: Vec3,
+    /// Pixels that may see the field.
+    pub(super) pixels: PixelBox,
+    pub(super) supersample: u32,
+}
+
+pub(super) struct PreparedStatic {
+    pub(super) instance_id: u16,
+    pub(super) object_from_local: Rigid,
+    pub(super) half_m: Vec3,
+    pub(super) pixels: PixelBox,
+}
+
+impl<'a> Prepared<'a> {
+    fn new(scene: &Scene<'a>, options: &RenderOptions) -> Self {
+        let camera_from_local = scene.local_from_camera.inverse();
+        let distance = |i: &usize| {
+            let at = scene.objects[*i].local_from_object.translation_m;
+            (at - scene.local_from_camera.translation_m).length()
+        };
+        let mut order: Vec<usize> = (0..scene.objects.len()).collect();
+        order.sort_by(|a, b| {
+            let bits = |i: &usize| scene.objects[*i].local_from_object.translation_m.to_array();
+            distance(a)
+                .total_cmp(&distance(b))
+                .then_with(|| bits(a).map(f64::to_bits).cmp(&bits(b).map(f64::to_bits)))
+                .then_with(|| {
+                    scene.objects[*a]
+                        .instance_id
+                        .cmp(&scene.objects[*b].instance_id)
+                })
+        });
+        let objects = order.iter().map(|i| {
+            let object = &scene.objects[*i];
+            let camera_from_object = camera_from_local * object.local_from_object;
+            let (low, high) = object.field.bounds();
+            let supersample = if is_small(scene, object, distance(i)) {
+                options.object_supersample
+            } else {
+                options.supersample
+            };
+            PreparedObject {
+                instance_id: object.instance_id,
+                field: object.field,
+                object_from_local: object.local_from_object.inverse(),
+                half_m: (object.size_m * 0.5).as_vec3(),
+                pixels: pixels_of(
+                    &scene.camera,
+                    &camera_from_object,
+                    low.as_dvec3(),
+                    high.as_dvec3(),
+                ),
+                supersample: supersample.max(options.supersample).max(1),
+            }
+        });
+        let statics = scene.statics.iter().map(|object| {
+            let half = object.size_m * 0.5 + DVec3::splat(STATIC_PADDING_M);
+            PreparedStatic {
+                instance_id: object.instance_id,
+                object_from_local: object.local_from_object.inverse(),
+                half_m: half.as_vec3(),
+                pixels: pixels_of(
+                    &scene.camera,
+                    &(camera_from_local * object.local_from_object),
+                    -half,
+                    half,
+                ),
+            }
+        });
+        Self {
+            background: scene.background,
+            objects: objects.collect(),
+            statics: statics.collect(),
+            camera: scene.camera,
+            local_from_camera: scene.local_from_camera,
+            options: *options,
+            order,
+        }
+    }
+}
+
+/// Annotated boxes of static objects are this tight around their reconstructed surface.
+const STATIC_PADDING_M: f64 = 0.1;
+
+/// Whether a pixel is wider than the object's voxels, so that one ray would step over them.
+fn is_small(scene: &Scene<'_>, object: &SceneObject<'_>, distance_m: f64) -> bool {
+    let pixel_m = distance_m / scene.camera.focal_px.x;
+    pixel_m > 0.5 * f64::from(object.field.finest_voxel_m())
+}
+
+/// Everything in the image if part of the box is behind the camera, nothing if all is.
+fn pixels_of(camera: &Camera, camera_from_box: &Rigid, low: DVec3, high: DVec3) -> PixelBox {
+    let nothing = PixelBox {
+        min: DVec2::ZERO,
+        max: DVec2::ZERO,
+    };
+    let centre = (low + high) * 0.5;
+    let shifted = Rigid::new(camera_from_box.rotation, camera_from_box.point(centre));
+    box_of_corners(camera, &super::projection::corners(&shifted, high - low))
+        .and_then(|b| b.clipped(camera))
+        .unwrap_or(nothing)
+}
+
+fn assemble(prepared: &Prepared<'_>, tiles: Vec<TileResult>) -> RenderedFrame {
+    let (width, height) = (prepared.camera.width, prepared.camera.height);
+    let count = prepared.camera.pixel_count();
+    let mut frame = RenderedFrame {
+        width,
+        height,
+        rgb8: vec![0; 3 * count],
+        depth_z_m: vec![0.0; count],
+        instance: vec![0; count],
+        accumulation: vec![0.0; count],
+        alone_px: Vec::new(),
+    };
+    let mut alone = vec![0u32; prepared.objects.len() + prepared.statics.len()];
+    for tile in tiles {
+        for (total, own) in alone.iter_mut().zip(&tile.alone_px) {
+            *total += own;
+        }
+        for (i, pixel) in tile.pixels.iter().enumerate() {
+            let (x, y) = (
+                tile.x + i as u32 % tile.width,
+                tile.y + i as u32 / tile.width,
+            );
+            let at = (y * width + x) as usize;
+            frame.rgb8[3 * at..3 * at + 3].copy_from_slice(&pixel.rgb.map(to_byte));
+            frame.depth_z_m[at] = pixel.depth_z_m;
+            frame.instance[at] = pixel.instance;
+            frame.accumulation[at] = pixel.accumulation;
+        }
+    }
+    let mut objects = vec![(0, 0); prepared.objects.len()];
+    for (i, object) in prepared.objects.iter().enumerate() {
+        objects[prepared.order[i]] = (object.instance_id, alone[i]);
+    }
+    let statics = prepared
+        .statics
+        .iter()
+        .zip(&alone[prepared.objects.len()..]);
+    frame.alone_px = objects;
+    frame
+        .alone_px
+        .extend(statics.map(|(object, px)| (object.instance_id, *px)));
+    frame
+}
+
+fn to_byte(value: f32) -> u8 {
+    (value.clamp(0.0, 1.0) * 255.0).round() as u8
+}

@@ -1,0 +1,346 @@
+//! Renders one tile of a scene: marches its rays, merges them, and asks each field for its colours in one batch.
+
+use glam::{DVec2, Vec3};
+
+use super::merge::{composite, merge};
+use super::projection::PixelBox;
+use super::render::{Prepared, PreparedStatic};
+use crate::field::{ColorScratch, RaySample};
+
+/// Side of a tile: large enough to fill colour batches, small enough to spread over threads.
+pub(super) const TILE_PX: u32 = 32;
+/// March until less than a thousandth of the light is left.
+const STOP_TAU: f32 = 7.0;
+/// Where an object's box suppresses background haze, marching must not have ended in that haze.
+const STOP_TAU_THROUGH_OBJECT: f32 = 40.0;
+/// Samples of less weight get no colour of their own; the rest of the ray is scaled up for them.
+const MIN_WEIGHT: f32 = 1e-3;
+/// Background above an object's bottom plane by more than this is haze in its box; below, it is the ground it stands on.
+const GROUND_KEPT_M: f32 = 0.05;
+/// Nothing of an object is below its wheels; its field may have learnt a piece of road there.
+const BELOW_WHEELS_M: f32 = 0.02;
+/// The lowest part of a static object's cuboid is road.
+const STATIC_GROUND_M: f32 = 0.2;
+const HALF: f32 = 0.5;
+
+/// One finished pixel.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Pixel {
+    pub(super) rgb: [f32; 3],
+    pub(super) depth_z_m: f32,
+    pub(super) instance: u16,
+    pub(super) accumulation: f32,
+}
+
+#[derive(Default)]
+pub(super) struct TileResult {
+    pub(super) x: u32,
+    pub(super) y: u32,
+    pub(super) width: u32,
+    pub(super) pixels: Vec<Pixel>,
+    /// Objects, then statics.
+    pub(super) alone_px: Vec<u32>,
+}
+
+/// A camera ray in the background's frame.
+#[derive(Clone, Copy)]
+struct EyeRay {
+    origin: Vec3,
+    direction: Vec3,
+    /// Camera z per metre along the ray.
+    z_per_m: f32,
+}
+
+/// Samples waiting for their colours, all of one field.
+#[derive(Default)]
+struct Batch {
+    positions: Vec<Vec3>,
+    directions: Vec<Vec3>,
+    /// Pixel of the tile and weight.
+    targets: Vec<(u32, f32)>,
+}
+
+/// What one ray contributes to its pixel besides colour.
+#[derive(Clone, Copy, Default)]
+struct Hit {
+    transmittance: f32,
+    half_t: Option<f32>,
+    /// Distance at which the background alone hides half of the light.
+    background_half_t: Option<f32>,
+}
+
+/// Buffers of one thread; nothing is allocated per ray.
+pub(super) struct TileRenderer<'a> {
+    scene: &'a Prepared<'a>,
+    /// Source 0 is the background, source 1 + i is `active[i]`.
+    sources: Vec<Vec<RaySample>>,
+    weights: Vec<Vec<f32>>,
+    active: Vec<usize>,
+    cursors: Vec<usize>,
+    batches: Vec<Batch>,
+    colors: Vec<[f32; 3]>,
+    scratch: ColorScratch,
+    object_weight: Vec<f32>,
+    object_alone: Vec<f32>,
+}
+
+impl<'a> TileRenderer<'a> {
+    pub(super) fn new(scene: &'a Prepared<'a>) -> Self {
+        let objects = scene.objects.len();
+        Self {
+            scene,
+            sources: vec![Vec::new(); objects + 1],
+            weights: vec![Vec::new(); objects + 1],
+            active: Vec::with_capacity(objects),
+            cursors: Vec::with_capacity(objects + 1),
+            batches: (0..=objects).map(|_| Batch::default()).collect(),
+            colors: Vec::new(),
+            scratch: ColorScratch::default(),
+            object_weight: vec![0.0; objects],
+            object_alone: vec![0.0; objects],
+        }
+    }
+
+    pub(super) fn render(&mut self, x: u32, y: u32) -> TileResult {
+        let camera = &self.scene.camera;
+        let width = TILE_PX.min(camera.width - x);
+        let height = TILE_PX.min(camera.height - y);
+        let mut tile = TileResult {
+            x,
+            y,
+            width,
+            pixels: vec![Pixel::default(); (width * height) as usize],
+            alone_px: vec![0; self.scene.objects.len() + self.scene.statics.len()],
+        };
+        for i in 0..width * height {
+            let corner = DVec2::new(f64::from(x + i % width), f64::from(y + i / width));
+            self.render_pixel(corner, i, &mut tile);
+        }
+        self.shade(&mut tile);
+        tile
+    }
+
+    fn render_pixel(&mut self, corner: DVec2, index: u32, tile: &mut TileResult) {
+        let scene = self.scene;
+        let centre = corner + DVec2::splat(0.5);
+        self.active.clear();
+        let mut side = scene.options.supersample.max(1);
+        for (i, object) in scene.objects.iter().enumerate() {
+            if touches(&object.pixels, centre) {
+                self.active.push(i);
+                side = side.max(object.supersample);
+                (self.object_weight[i], self.object_alone[i]) = (0.0, 0.0);
+            }
+        }
+        let share = 1.0 / (side * side) as f32;
+        let mut first: Option<(EyeRay, Hit)> = None;
+        let pixel = &mut tile.pixels[index as usize];
+        for sub in 0..side * side {
+            let offset = DVec2::new(f64::from(sub % side) + 0.5, f64::from(sub / side) + 0.5);
+            let ray = self.eye_ray(corner + offset / f64::from(side));
+            let hit = self.trace(ray, index, share);
+            let sky = scene.background.map_or([0.0; 3], |b| b.sky(ray.direction));
+            for (channel, sky) in pixel.rgb.iter_mut().zip(sky) {
+                *channel += share * hit.transmittance * sky;
+            }
+            pixel.accumulation += share * (1.0 - hit.transmittance);
+            // The sub-ray nearest the pixel's centre gives its depth: depths of two surfaces have no mean.
+            if sub == (side / 2) * (side + 1) {
+                first = Some((ray, hit));
+            }
+        }
+        let (ray, hit) = first.expect("every pixel has a central ray");
+        pixel.depth_z_m = hit.half_t.map_or(0.0, |t| t * ray.z_per_m);
+        pixel.instance = self.owner();
+        for i in &self.active {
+            tile.alone_px[*i] += u32::from(self.object_alone[*i] >= HALF);
+        }
+        self.find_static(ray, hit, centre, index, tile);
+    }
+
+    fn eye_ray(&self, pixel: DVec2) -> EyeRay {
+        let d_camera = self.scene.camera.direction(pixel);
+        let pose = &self.scene.local_from_camera;
+        EyeRay {
+            origin: pose.translation_m.as_vec3(),
+            direction: pose.direction(d_camera).as_vec3().normalize(),
+            z_per_m: d_camera.z as f32,
+        }
+    }
+
+    /// Marches and merges one ray; queues its samples for colouring.
+    fn trace(&mut self, ray: EyeRay, pixel: u32, share: f32) -> Hit {
+        let scene = self.scene;
+        for source in &mut self.sources {
+            source.clear();
+        }
+        let mut through_object = false;
+        for slot in 0..self.active.len() {
+            through_object |= self.march_object(ray, slot, share);
+        }
+        let stop = if through_object {
+            STOP_TAU_THROUGH_OBJECT
+        } else {
+            STOP_TAU
+        };
+        if let Some(background) = scene.background {
+            let out = &mut self.sources[0];
+            background.march(ray.origin, ray.direction, 0.0, f32::INFINITY, stop, out);
+        }
+        if !through_object {
+            let merged = composite(&self.sources[0], &mut self.weights[0]);
+            self.queue(0, ray.origin, ray.direction, pixel, share);
+            return Hit {
+                transmittance: merged.transmittance,
+                half_t: merged.half_t,
+                background_half_t: merged.half_t,
+            };
+        }
+        let alone = composite(&self.sources[0], &mut self.weights[0]);
+        self.suppress_haze(ray);
+        let used = 1 + self.active.len();
+        let merged = merge(
+            &self.sources[..used],
+            &mut self.weights[..used],
+            &mut self.cursors,
+        );
+        self.queue(0, ray.origin, ray.direction, pixel, share);
+        for slot in 0..self.active.len() {
+            let i = self.active[slot];
+            self.object_weight[i] += share * self.weights[1 + slot].iter().sum::<f32>();
+            let object = &scene.objects[i];
+            let origin = object.object_from_local.point(ray.origin.as_dvec3());
+            let direction = object.object_from_local.direction(ray.direction.as_dvec3());
+            self.queue(
+                1 + slot,
+                origin.as_vec3(),
+                direction.as_vec3(),
+                pixel,
+                share,
+            );
+        }
+        Hit {
+            transmittance: merged.transmittance,
+            half_t: merged.half_t,
+            background_half_t: alone.half_t,
+        }
+    }
+
+    /// Samples of the object in `active[slot]`; whether the ray meets any.
+    fn march_object(&mut self, ray: EyeRay, slot: usize, share: f32) -> bool {
+        let i = self.active[slot];
+        let object = &self.scene.objects[i];
+        let to_object = &object.object_from_local;
+        let origin = to_object.point(ray.origin.as_dvec3()).as_vec3();
+        let direction = to_object.direction(ray.direction.as_dvec3()).as_vec3();
+        let samples = &mut self.sources[1 + slot];
+        object
+            .field
+            .march(origin, direction, 0.0, f32::INFINITY, STOP_TAU, samples);
+        let lowest = -object.half_m.z - BELOW_WHEELS_M;
+        samples.retain(|s| origin.z + s.t * direction.z >= lowest);
+        let tau: f32 = samples.iter().map(|s| s.sigma * s.dt).sum();
+        self.object_alone[i] -= share * (-tau).exp_m1();
+        !samples.is_empty()
+    }
+
+    /// Background density inside an object's cuboid is haze (or the object's own ghost) unless it is the ground.
+    fn suppress_haze(&mut self, ray: EyeRay) {
+        for i in &self.active {
+            let object = &self.scene.objects[*i];
+            let to_object = &object.object_from_local;
+            let origin = to_object.point(ray.origin.as_dvec3()).as_vec3();
+            let direction = to_object.direction(ray.direction.as_dvec3()).as_vec3();
+            let floor = -object.half_m.z + GROUND_KEPT_M;
+            self.sources[0].retain(|s| {
+                let p = origin + direction * s.t;
+                let inside = p.abs().cmple(object.half_m).all();
+                !(inside && p.z > floor)
+            });
+        }
+    }
+
+    fn queue(&mut self, source: usize, origin: Vec3, direction: Vec3, pixel: u32, share: f32) {
+        let weights = &self.weights[source];
+        let total: f32 = weights.iter().sum();
+        let kept: f32 = weights.iter().filter(|w| **w >= MIN_WEIGHT).sum();
+        if kept <= 0.0 {
+            return;
+        }
+        let scale = share * total / kept;
+        let batch = match source {
+            0 => &mut self.batches[0],
+            slot => &mut self.batches[1 + self.active[slot - 1]],
+        };
+        for (sample, weight) in self.sources[source].iter().zip(weights) {
+            if *weight >= MIN_WEIGHT {
+                batch.positions.push(origin + direction * sample.t);
+                batch.directions.push(direction);
+                batch.targets.push((pixel, weight * scale));
+            }
+        }
+    }
+
+    /// The object that owns the pixel: all of them carry half of its weight, this one most of theirs.
+    fn owner(&self) -> u16 {
+        let total: f32 = self.active.iter().map(|i| self.object_weight[*i]).sum();
+        if total < HALF {
+            return 0;
+        }
+        let heaviest = self
+            .active
+            .iter()
+            .max_by(|a, b| self.object_weight[**a].total_cmp(&self.object_weight[**b]));
+        heaviest.map_or(0, |i| self.scene.objects[*i].instance_id)
+    }
+
+    /// Marks the pixel of a static object whose cuboid holds its surface, and counts what it would have without inserts.
+    fn find_static(&self, ray: EyeRay, hit: Hit, centre: DVec2, index: u32, tile: &mut TileResult) {
+        for (i, object) in self.scene.statics.iter().enumerate() {
+            if !touches(&object.pixels, centre) {
+                continue;
+            }
+            let pixel = &mut tile.pixels[index as usize];
+            if pixel.instance == 0 && hit.half_t.is_some_and(|t| holds(object, ray, t)) {
+                pixel.instance = object.instance_id;
+            }
+            let alone = hit.background_half_t.is_some_and(|t| holds(object, ray, t));
+            tile.alone_px[self.scene.objects.len() + i] += u32::from(alone);
+        }
+    }
+
+    /// Colours every queued sample and adds it to its pixel.
+    fn shade(&mut self, tile: &mut TileResult) {
+        let fields = self.scene.background.into_iter().map(|f| (0, f));
+        let objects = self.scene.objects.iter().enumerate();
+        for (b, field) in fields.chain(objects.map(|(i, o)| (1 + i, o.field))) {
+            let batch = &mut self.batches[b];
+            field.colors(
+                &batch.positions,
+                &batch.directions,
+                &mut self.colors,
+                &mut self.scratch,
+            );
+            for ((pixel, weight), color) in batch.targets.iter().zip(&self.colors) {
+                let rgb = &mut tile.pixels[*pixel as usize].rgb;
+                for (channel, color) in rgb.iter_mut().zip(color) {
+                    *channel += weight * color;
+                }
+            }
+            batch.positions.clear();
+            batch.directions.clear();
+            batch.targets.clear();
+        }
+    }
+}
+
+fn touches(pixels: &PixelBox, centre: DVec2) -> bool {
+    // One pixel of slack: sub-rays leave the centre.
+    centre.cmpge(pixels.min - 1.0).all() && centre.cmple(pixels.max + 1.0).all()
+}
+
+fn holds(object: &PreparedStatic, ray: EyeRay, t: f32) -> bool {
+    let p = (ray.origin + ray.direction * t).as_dvec3();
+    let p = object.object_from_local.point(p).as_vec3();
+    p.abs().cmple(object.half_m).all() && p.z > -object.half_m.z + STATIC_GROUND_M
+}
