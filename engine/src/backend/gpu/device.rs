@@ -1,5 +1,6 @@
 //! Choosing and opening a GPU adapter.
 
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
 
 use super::error::Error;
@@ -13,6 +14,7 @@ pub struct Device {
     info: wgpu::AdapterInfo,
     /// Why the device was lost, once it is.
     lost: Arc<Mutex<Option<String>>>,
+    dispatches: Arc<AtomicU64>,
 }
 
 impl Device {
@@ -66,6 +68,7 @@ impl Device {
             limits,
             info,
             lost,
+            dispatches: Arc::default(),
         })
     }
 
@@ -84,7 +87,9 @@ impl Device {
 
     /// Largest buffer that a kernel can bind, bytes.
     pub fn max_binding_bytes(&self) -> u64 {
-        u64::from(self.limits.max_storage_buffer_binding_size).min(self.limits.max_buffer_size)
+        self.limits
+            .max_storage_buffer_binding_size
+            .min(self.limits.max_buffer_size)
     }
 
     /// Runs calls that record no error themselves and turns what the driver says about them into an error of `stage`.
@@ -113,6 +118,15 @@ impl Device {
             }),
             None => Ok(value),
         }
+    }
+
+    pub(super) fn count_dispatch(&self) {
+        self.dispatches.fetch_add(1, Ordering::Relaxed);
+    }
+
+    /// Kernels dispatched so far.
+    pub fn dispatch_count(&self) -> u64 {
+        self.dispatches.load(Ordering::Relaxed)
     }
 
     /// Waits until everything submitted so far is done.

@@ -12,6 +12,9 @@ mod field;
 
 mod march;
 
+#[cfg(test)]
+mod parity_tests;
+
 pub use device::Device;
 pub use error::Error;
 
@@ -37,6 +40,11 @@ impl GpuBackend {
         let device = Device::open()?;
         let march = Arc::new(march::MarchDensity::new(&device)?);
         Ok(Self { device, march })
+    }
+
+    /// Kernels dispatched on this device so far.
+    pub fn dispatch_count(&self) -> u64 {
+        self.device.dispatch_count()
     }
 }
 

@@ -137,7 +137,9 @@ impl Pipeline {
             pass.dispatch_workgroups(groups.x, groups.y, 1);
             drop(pass);
             device.queue.submit([encoder.finish()]);
-        })
+        })?;
+        device.count_dispatch();
+        Ok(())
     }
 }
 

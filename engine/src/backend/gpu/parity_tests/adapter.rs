@@ -1,0 +1,54 @@
+//! The adapter under test, or the admission that there is none.
+
+use std::io::Write;
+use std::sync::OnceLock;
+use std::sync::atomic::{AtomicU32, Ordering};
+
+use crate::backend::Backend;
+use crate::backend::gpu::GpuBackend;
+
+/// Runs `check` on the machine's adapter and asserts that it dispatched kernels; says so on stderr if there is no adapter.
+///
+/// # Panics
+/// Without an adapter if `BACKLOT_REQUIRE_ADAPTER` is 1.
+pub(super) fn on_adapter(test: &str, check: impl FnOnce(&GpuBackend)) {
+    static LEFT_OUT: AtomicU32 = AtomicU32::new(0);
+    match shared() {
+        Ok(gpu) => {
+            let before = gpu.dispatch_count();
+            check(gpu);
+            let dispatched = gpu.dispatch_count() - before;
+            assert!(
+                dispatched > 0,
+                "{test} compared nothing: no kernel was dispatched"
+            );
+            say(&format!(
+                "{test}: {dispatched} kernels dispatched on {}",
+                gpu.device()
+            ));
+        }
+        Err(reason) => {
+            let required = std::env::var("BACKLOT_REQUIRE_ADAPTER").is_ok_and(|value| value == "1");
+            assert!(!required, "BACKLOT_REQUIRE_ADAPTER=1 and {reason}");
+            let left_out = LEFT_OUT.fetch_add(1, Ordering::Relaxed) + 1;
+            say(&format!(
+                "{test}: LEFT OUT, {left_out} parity tests so far: {reason}"
+            ));
+        }
+    }
+}
+
+/// Opened once: tests run in parallel and a device is not free.
+fn shared() -> Result<&'static GpuBackend, String> {
+    static SHARED: OnceLock<Result<GpuBackend, String>> = OnceLock::new();
+    SHARED
+        .get_or_init(|| GpuBackend::open().map_err(|error| error.to_string()))
+        .as_ref()
+        .map_err(Clone::clone)
+}
+
+/// Writes past the test harness, which captures `eprintln!` of passing tests.
+fn say(line: &str) {
+    // A closed stderr must not fail a test.
+    let _ = std::io::stderr().write_all(format!("parity: {line}\n").as_bytes());
+}

@@ -1,0 +1,11 @@
+//! The GPU's kernels against the CPU's code, on whatever adapter is there (Mesa's lavapipe in CI).
+//!
+//! `BACKLOT_REQUIRE_ADAPTER=1` makes a missing adapter a failure; without it the tests pass and say on stderr what they left out.
+
+mod adapter;
+
+mod compare;
+
+mod march;
+
+mod scene;
