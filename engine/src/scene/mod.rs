@@ -2,7 +2,7 @@
 //!
 //! A [`Recording`] says what a background's log saw: cameras, poses and tracked cuboids. The [`ValidRegion`] says where an
 //! object may stand in it. [`compose`] draws a pose and places objects by a [`Recipe`]. [`render`] merges the fields in one
-//! volume pass.
+//! volume pass, and [`label`] says what can be seen of each object.
 
 mod random;
 
@@ -25,10 +25,16 @@ mod merge;
 mod render;
 mod tile;
 
+mod ignore;
+mod labels;
+mod lidar;
+
 pub use collision::{Occupied, intersection_area_m2};
 pub use composition::{ATTEMPTS, Candidate, Composition, Origin, PlacedObject, Stage, compose};
 pub use density::{DensityField, HALF_TAU};
 pub use footprint::{Footprint, GroundPlane};
+pub use ignore::ignore_mask;
+pub use labels::{FrameLabel, label};
 pub use merge::{Merged, composite, merge};
 pub use projection::{PixelBox, amodal_box, corners};
 pub use random::Draws;

@@ -164,7 +164,8 @@ mod tests {
         ] {
             Recipe::new(preset).validate().unwrap();
         }
-        let spoil: [(&str, fn(&mut Recipe)); 5] = [
+        type Spoil = (&'static str, fn(&mut Recipe));
+        let spoil: [Spoil; 5] = [
             ("jitter_x_m", |r| r.jitter.x_m = -1.0),
             ("coverage_slack_rad", |r| r.coverage_slack_rad = f64::NAN),
             ("objects", |r| r.min_objects = 4),

@@ -1,5 +1,6 @@
 //! Renders a scene in one volume pass: background, objects and sky on common samples.
 
+use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use glam::{DVec2, DVec3, Vec3};
@@ -116,6 +117,8 @@ pub struct RenderedFrame {
     pub accumulation: Vec<f32>,
     /// (instance id, pixels it would have alone in the scene) in the scene's order: objects, then statics.
     pub alone_px: Vec<(u16, u32)>,
+    /// Pixels an object would have alone, by (object, instance that owns them instead; 0 for the background).
+    pub hidden_px: BTreeMap<(u16, u16), u32>,
 }
 
 /// Renders a scene on rayon's threads.
@@ -298,11 +301,15 @@ fn assemble(prepared: &Prepared<'_>, tiles: Vec<TileResult>) -> RenderedFrame {
         instance: vec![0; count],
         accumulation: vec![0.0; count],
         alone_px: Vec::new(),
+        hidden_px: BTreeMap::new(),
     };
     let mut alone = vec![0u32; prepared.objects.len() + prepared.statics.len()];
     for tile in tiles {
         for (total, own) in alone.iter_mut().zip(&tile.alone_px) {
             *total += own;
+        }
+        for (pair, px) in tile.hidden_px {
+            *frame.hidden_px.entry(pair).or_default() += px;
         }
         for (i, pixel) in tile.pixels.iter().enumerate() {
             let (x, y) = (

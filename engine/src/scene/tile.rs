@@ -1,5 +1,7 @@
 //! Renders one tile of a scene: marches its rays, merges them, and asks each field for its colours in one batch.
 
+use std::collections::BTreeMap;
+
 use glam::{DVec2, Vec3};
 
 use super::merge::{composite, merge};
@@ -40,6 +42,17 @@ pub(super) struct TileResult {
     pub(super) pixels: Vec<Pixel>,
     /// Objects, then statics.
     pub(super) alone_px: Vec<u32>,
+    /// Pixels by (hidden object, instance that owns the pixel).
+    pub(super) hidden_px: BTreeMap<(u16, u16), u32>,
+}
+
+impl TileResult {
+    fn count_alone(&mut self, slot: usize, instance: u16, owner: u16) {
+        self.alone_px[slot] += 1;
+        if owner != instance {
+            *self.hidden_px.entry((instance, owner)).or_default() += 1;
+        }
+    }
 }
 
 /// A camera ray in the background's frame.
@@ -111,6 +124,7 @@ impl<'a> TileRenderer<'a> {
             width,
             pixels: vec![Pixel::default(); (width * height) as usize],
             alone_px: vec![0; self.scene.objects.len() + self.scene.statics.len()],
+            hidden_px: BTreeMap::new(),
         };
         for i in 0..width * height {
             let corner = DVec2::new(f64::from(x + i % width), f64::from(y + i / width));
@@ -152,10 +166,13 @@ impl<'a> TileRenderer<'a> {
         let (ray, hit) = first.expect("every pixel has a central ray");
         pixel.depth_z_m = hit.half_t.map_or(0.0, |t| t * ray.z_per_m);
         pixel.instance = self.owner();
-        for i in &self.active {
-            tile.alone_px[*i] += u32::from(self.object_alone[*i] >= HALF);
-        }
         self.find_static(ray, hit, centre, index, tile);
+        let owner = tile.pixels[index as usize].instance;
+        for i in &self.active {
+            if self.object_alone[*i] >= HALF {
+                tile.count_alone(*i, self.scene.objects[*i].instance_id, owner);
+            }
+        }
     }
 
     fn eye_ray(&self, pixel: DVec2) -> EyeRay {
@@ -304,8 +321,10 @@ impl<'a> TileRenderer<'a> {
             if pixel.instance == 0 && hit.half_t.is_some_and(|t| holds(object, ray, t)) {
                 pixel.instance = object.instance_id;
             }
-            let alone = hit.background_half_t.is_some_and(|t| holds(object, ray, t));
-            tile.alone_px[self.scene.objects.len() + i] += u32::from(alone);
+            if hit.background_half_t.is_some_and(|t| holds(object, ray, t)) {
+                let owner = pixel.instance;
+                tile.count_alone(self.scene.objects.len() + i, object.instance_id, owner);
+            }
         }
     }
 
