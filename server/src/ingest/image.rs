@@ -11,7 +11,7 @@ const MAX_DECODED_BYTES: u64 = 3 << 28;
 
 /// Why an image cannot be used.
 #[derive(Debug, thiserror::Error)]
-pub(crate) enum ImageError {
+pub enum ImageError {
     #[error("is neither PNG nor JPEG")]
     Format,
     #[error("does not decode: {0}")]
@@ -31,7 +31,7 @@ pub(crate) enum ImageError {
 }
 
 impl ImageError {
-    pub(crate) fn kind(&self) -> ErrorKind {
+    pub fn kind(&self) -> ErrorKind {
         ErrorKind::Invalid
     }
 }

@@ -6,12 +6,32 @@ mod hull;
 mod image;
 mod movers;
 mod points;
+mod raster;
 
 mod content;
 mod validate;
 #[cfg(test)]
 mod validate_tests;
 
+mod lidar;
+mod projected;
+
+mod frame;
+mod held_out;
+mod sky;
+
+mod background;
+mod background_labels;
+
+mod object;
+mod object_labels;
+mod object_plan;
+
+pub(crate) use background::{BackgroundSet, background_set, recording, time_order, trained_size};
 pub use content::LogBlobs;
+pub use frame::FrameError;
+pub use image::ImageError;
+pub(crate) use object::{ObjectSet, object_set};
+pub(crate) use object_plan::{Rejections, TrackPlan, plan_objects};
 pub use validate::{Accepted, validate};
 pub use violations::{FieldViolation, Violations};
