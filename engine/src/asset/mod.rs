@@ -1,6 +1,12 @@
 //! Stored assets: a header with all that composition needs, and the field.
 
+mod decode;
+mod encode;
 mod header;
+mod layout;
+
+#[cfg(test)]
+mod tests;
 
 pub use header::{AssetHeader, AssetKind, ColorSpace, FORMAT_VERSION, Usage};
 

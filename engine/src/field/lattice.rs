@@ -44,20 +44,26 @@ impl Lattice {
     pub fn new(voxel_m: f32, origin_m: Vec3, size_m: Vec3) -> Option<Self> {
         let brick_m = voxel_m * BRICK_SIDE as f32;
         let span = (size_m / brick_m).ceil().max(Vec3::ONE);
-        let cells = span.as_dvec3() + 1.0;
-        let fits = cells.is_finite()
-            && span.max_element() < f32::from(u16::MAX)
-            && cells.element_product() <= MAX_INDEX_CELLS as f64;
-        if !fits || !(voxel_m > 0.0) {
-            return None;
-        }
-        let bricks = span.as_uvec3();
-        let index_cells = (bricks + 1).as_u64vec3().element_product() as usize;
-        Some(Self {
+        let countable = span.is_finite() && span.max_element() < f32::from(u16::MAX);
+        countable
+            .then(|| Self::with_bricks(voxel_m, origin_m, span.as_uvec3()))
+            .flatten()
+    }
+
+    /// An empty level of `bricks` brick positions per axis. `None` if the brick index would be unreasonably large.
+    pub fn with_bricks(voxel_m: f32, origin_m: Vec3, bricks: UVec3) -> Option<Self> {
+        let cells = (bricks.as_dvec3() + 1.0).element_product();
+        let sound = voxel_m > 0.0
+            && voxel_m.is_finite()
+            && origin_m.is_finite()
+            && bricks.min_element() > 0
+            && bricks.max_element() < u32::from(u16::MAX)
+            && cells <= MAX_INDEX_CELLS as f64;
+        sound.then(|| Self {
             voxel_m,
             origin_m,
             bricks,
-            index: vec![NULL_BRICK; index_cells],
+            index: vec![NULL_BRICK; cells as usize],
             positions: vec![[0; 3]],
             density: vec![0.0; BRICK_NODES],
             features: vec![[0.0; FEATURES]; BRICK_NODES],

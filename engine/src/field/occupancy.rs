@@ -33,15 +33,25 @@ impl Occupancy {
         let span = (size_m / (cell_m * BLOCK_SIDE as f32))
             .ceil()
             .max(Vec3::ONE);
-        if !(cell_m > 0.0 && span.is_finite() && span.element_product() <= MAX_INDEX_BLOCKS) {
-            return None;
-        }
-        let blocks = span.as_uvec3();
-        Some(Self {
+        let countable = span.is_finite() && span.max_element() <= MAX_INDEX_BLOCKS;
+        countable
+            .then(|| Self::with_blocks(cell_m, origin_m, span.as_uvec3()))
+            .flatten()
+    }
+
+    /// All empty, of `blocks` blocks per axis. `None` if the index would be unreasonably large.
+    pub fn with_blocks(cell_m: f32, origin_m: Vec3, blocks: UVec3) -> Option<Self> {
+        let count = blocks.as_dvec3().element_product();
+        let sound = cell_m > 0.0
+            && cell_m.is_finite()
+            && origin_m.is_finite()
+            && blocks.min_element() > 0
+            && count <= f64::from(MAX_INDEX_BLOCKS);
+        sound.then(|| Self {
             cell_m,
             origin_m,
             blocks,
-            index: vec![0; blocks.element_product() as usize],
+            index: vec![0; count as usize],
             masks: vec![[0; BLOCK_SIDE as usize]],
             steps_m: vec![0.0],
         })

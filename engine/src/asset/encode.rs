@@ -1,0 +1,174 @@
+//! Asset to bytes.
+
+use std::collections::HashMap;
+
+use half::f16;
+use half::slice::HalfFloatSliceExt;
+use safetensors::Dtype;
+use safetensors::tensor::TensorView;
+
+use super::Asset;
+use super::layout::{FIELD_KEY, FieldLayout, GridLayout, HEADER_KEY};
+use crate::field::{BRICK_NODES, FEATURES, Field, Lattice, Occupancy, SkyGrid};
+
+/// Trained f16 grids hardly shrink further at higher levels, which cost several times the time.
+const ZSTD_LEVEL: i32 = 3;
+/// Raw densities beyond this are as opaque or as empty as f16 and f32 can say, and f16 must not overflow.
+const RAW_LIMIT: f32 = 1_000.0;
+
+/// One tensor waiting to be written.
+struct Tensor {
+    name: String,
+    dtype: Dtype,
+    shape: Vec<usize>,
+    bytes: Vec<u8>,
+}
+
+impl Asset {
+    /// The stored form of the asset; see the module `layout` for the format. Parameters are rounded to f16.
+    pub fn encode(&self) -> Vec<u8> {
+        let mut tensors = Vec::new();
+        for (l, level) in self.field.levels.iter().enumerate() {
+            tensors.extend(level_tensors(l, level));
+        }
+        let mlp = self.field.mlp.parameters();
+        tensors.push(Tensor {
+            name: "mlp".to_owned(),
+            dtype: Dtype::F32,
+            shape: vec![mlp.len()],
+            bytes: bytemuck::cast_slice(mlp).to_vec(),
+        });
+        let grids = self.field.sky.as_ref().map_or(&[][..], |sky| sky.grids());
+        tensors.extend(grids.iter().enumerate().map(sky_tensor));
+        tensors.extend(occupancy_tensors(&self.field.occupancy));
+        let metadata = HashMap::from([
+            (HEADER_KEY.to_owned(), json(&self.header)),
+            (FIELD_KEY.to_owned(), json(&field_layout(&self.field))),
+        ]);
+        let views = tensors.iter().map(|t| {
+            let view = TensorView::new(t.dtype, t.shape.clone(), &t.bytes);
+            (&t.name, view.expect("tensor bytes match their shape"))
+        });
+        let plain = safetensors::serialize(views, Some(metadata)).expect("tensors are sound");
+        zstd::bulk::compress(&plain, ZSTD_LEVEL).expect("memory compresses")
+    }
+}
+
+fn json(value: &impl serde::Serialize) -> String {
+    serde_json::to_string(value).expect("headers are plain values")
+}
+
+fn field_layout(field: &Field) -> FieldLayout {
+    let occupancy = &field.occupancy;
+    let grid = |level: &Lattice| GridLayout {
+        cell_m: level.voxel_m(),
+        origin_m: level.origin_m().to_array(),
+        extent: level.bricks_per_axis().to_array(),
+    };
+    FieldLayout {
+        bounds_m: [field.bounds_m.0.to_array(), field.bounds_m.1.to_array()],
+        levels: field.levels.iter().map(grid).collect(),
+        activation: field.activation,
+        mlp_width: field.mlp.width(),
+        sky_grids: field.sky.as_ref().map_or(0, |sky| sky.grids().len()),
+        occupancy: GridLayout {
+            cell_m: occupancy.cell_m(),
+            origin_m: occupancy.origin_m().to_array(),
+            extent: occupancy.blocks_per_axis().to_array(),
+        },
+        step_growth: field.step_growth,
+    }
+}
+
+fn to_f16_bytes(values: &[f32]) -> Vec<u8> {
+    let mut halves = vec![f16::ZERO; values.len()];
+    halves.convert_from_f32_slice(values);
+    bytemuck::cast_slice(&halves).to_vec()
+}
+
+fn level_tensors(l: usize, level: &Lattice) -> [Tensor; 3] {
+    let mut positions: Vec<[u16; 3]> = Vec::new();
+    let (mut density, mut features) = (Vec::new(), Vec::new());
+    for brick in 1..level.brick_count() {
+        let nodes = brick * BRICK_NODES..(brick + 1) * BRICK_NODES;
+        let raw = &level.density()[nodes.clone()];
+        let color = level.features()[nodes].as_flattened();
+        let stays_zero = |x: &f32| f16::from_f32(*x).to_f32() == 0.0;
+        if raw.iter().all(stays_zero) && color.iter().all(stays_zero) {
+            continue;
+        }
+        positions.push(level.positions()[brick]);
+        let clamped: Vec<f32> = raw.iter().map(|x| x.clamp(-RAW_LIMIT, RAW_LIMIT)).collect();
+        density.extend(to_f16_bytes(&clamped));
+        features.extend(to_f16_bytes(color));
+    }
+    let n = positions.len();
+    let tensor = |name: &str, dtype, shape, bytes| Tensor {
+        name: format!("level{l}.{name}"),
+        dtype,
+        shape,
+        bytes,
+    };
+    let places = bytemuck::cast_slice(&positions).to_vec();
+    [
+        tensor("positions", Dtype::U16, vec![n, 3], places),
+        tensor("density", Dtype::F16, vec![n, BRICK_NODES], density),
+        tensor(
+            "features",
+            Dtype::F16,
+            vec![n, BRICK_NODES, FEATURES],
+            features,
+        ),
+    ]
+}
+
+fn sky_tensor((g, grid): (usize, &SkyGrid)) -> Tensor {
+    Tensor {
+        name: format!("sky{g}"),
+        dtype: Dtype::F16,
+        shape: vec![grid.height() as usize, grid.width() as usize, 3],
+        bytes: to_f16_bytes(grid.logits().as_flattened()),
+    }
+}
+
+fn occupancy_tensors(occupancy: &Occupancy) -> [Tensor; 3] {
+    let extent = occupancy.blocks_per_axis();
+    let mut blocks: Vec<[u16; 3]> = Vec::new();
+    let (mut masks, mut steps): (Vec<[u64; 8]>, Vec<f32>) = (Vec::new(), Vec::new());
+    for (at, stored) in occupancy.index().iter().enumerate() {
+        if *stored == 0 {
+            continue;
+        }
+        let at = at as u32;
+        let block = [
+            at % extent.x,
+            at / extent.x % extent.y,
+            at / (extent.x * extent.y),
+        ];
+        blocks.push(block.map(|c| c as u16));
+        masks.push(occupancy.masks()[*stored as usize]);
+        steps.push(occupancy.steps_m()[*stored as usize]);
+    }
+    let m = blocks.len();
+    let tensor = |name: &str, dtype, shape, bytes: &[u8]| Tensor {
+        name: format!("occupancy.{name}"),
+        dtype,
+        shape,
+        bytes: bytes.to_vec(),
+    };
+    [
+        tensor(
+            "blocks",
+            Dtype::U16,
+            vec![m, 3],
+            bytemuck::cast_slice(&blocks),
+        ),
+        tensor(
+            "masks",
+            Dtype::U64,
+            vec![m, 8],
+            bytemuck::cast_slice(&masks),
+        ),
+        tensor("steps", Dtype::F32, vec![m], bytemuck::cast_slice(&steps)),
+    ]
+}
