@@ -1,5 +1,6 @@
 //! The record of one digital driving asset: what it is, where it came from and how good it is on held-out views.
 
+pub use backlot_engine::class::ObjectClass;
 use serde::{Deserialize, Serialize};
 
 use super::blob::BlobRef;
@@ -20,36 +21,6 @@ pub enum Usage {
     Library,
     /// Good only near its recorded poses.
     ReplayOnly { reason: String },
-}
-
-/// Class of an object; the wire form and the engine's form are converted at their borders.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum ObjectClass {
-    Car,
-    Van,
-    Truck,
-    Bus,
-    Tram,
-    Pedestrian,
-    Cyclist,
-    Other,
-}
-
-impl ObjectClass {
-    /// Lower-case word, used in asset ids.
-    pub fn word(self) -> &'static str {
-        match self {
-            Self::Car => "car",
-            Self::Van => "van",
-            Self::Truck => "truck",
-            Self::Bus => "bus",
-            Self::Tram => "tram",
-            Self::Pedestrian => "pedestrian",
-            Self::Cyclist => "cyclist",
-            Self::Other => "other",
-        }
-    }
 }
 
 /// What an object asset shows.
@@ -154,7 +125,7 @@ fn asset_id(log: &DriveLogId, object: Option<&ObjectSubject>, job: &JobId) -> As
             } else {
                 blake3::hash(object.track_id.as_bytes()).to_hex()[..4].to_owned()
             };
-            format!("{log}-{}-{track}{suffix}-{job}", object.class.word())
+            format!("{log}-{}-{track}{suffix}-{job}", object.class.name())
         }
     };
     debug_assert!(id.len() <= MAX_ID_BYTES, "{id}");

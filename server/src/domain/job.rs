@@ -113,6 +113,8 @@ pub struct Job {
     pub id: JobId,
     pub spec: JobSpec,
     pub state: JobState,
+    /// Grows at each event.
+    pub revision: u64,
     /// Grows at each claim.
     pub epoch: u64,
     /// Attempts begun, without those that ended with their process.
@@ -196,6 +198,7 @@ impl Job {
             id,
             spec,
             state: JobState::Queued { not_before: now },
+            revision: 0,
             epoch: 0,
             attempt: 0,
             crashes: 0,
@@ -227,6 +230,7 @@ impl Job {
     /// The job after `event` at `now`.
     pub fn apply(&self, event: Event, now: UnixMs) -> Result<Job, Rejected> {
         let mut next = self.clone();
+        next.revision += 1;
         match event {
             Event::Claimed { worker } => next.claim(worker, now)?,
             Event::Heartbeat { epoch, progress } => {

@@ -1,7 +1,6 @@
 //! All that a worker may touch. In-process workers use it too, so that workers can later move to other machines.
 
-use std::sync::Mutex;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Mutex, OnceLock};
 use std::time::Instant;
 
 use bytes::Bytes;
@@ -47,18 +46,15 @@ pub struct Completion {
     pub report: JobReport,
 }
 
+/// How the work on a job ended.
+pub type Outcome = Result<Completion, Failure>;
+
 /// Why the port refused.
 #[derive(Debug, thiserror::Error)]
 #[error("{message}")]
 pub struct PortError {
     pub kind: ErrorKind,
     pub message: String,
-}
-
-impl PortError {
-    pub fn kind(&self) -> ErrorKind {
-        self.kind
-    }
 }
 
 /// The service as a worker sees it. Calls block; none is made on a tokio worker thread.
@@ -87,12 +83,20 @@ pub trait WorkerPort: Send + Sync {
     fn release(&self, lease: &Lease) -> Result<(), PortError>;
 }
 
-/// How running work tells its progress and learns that it must stop. Both calls are cheap: a pulse thread talks to the port.
+/// Why running work must stop.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum StopCause {
+    Cancelled,
+    LeaseLost,
+    ShuttingDown,
+}
+
+/// How running work tells its progress and learns that it must stop. Calls are cheap: a pulse thread talks to the port.
 #[derive(Debug)]
 pub struct JobControl {
     started: Instant,
     progress: Mutex<Progress>,
-    stop: AtomicBool,
+    stop: OnceLock<StopCause>,
 }
 
 impl JobControl {
@@ -100,7 +104,7 @@ impl JobControl {
         Self {
             started: Instant::now(),
             progress: Mutex::default(),
-            stop: AtomicBool::new(false),
+            stop: OnceLock::new(),
         }
     }
 
@@ -116,12 +120,16 @@ impl JobControl {
 
     /// True once the job was cancelled, its lease lost or the server is shutting down.
     pub fn cancelled(&self) -> bool {
-        self.stop.load(Ordering::Relaxed)
+        self.stop.get().is_some()
     }
 
-    /// Makes `cancelled` true for good.
-    pub fn stop(&self) {
-        self.stop.store(true, Ordering::Relaxed);
+    /// Makes `cancelled` true for good; the first cause stands.
+    pub fn stop(&self, cause: StopCause) {
+        let _ = self.stop.set(cause);
+    }
+
+    pub fn stop_cause(&self) -> Option<StopCause> {
+        self.stop.get().copied()
     }
 
     /// Seconds since the attempt began.

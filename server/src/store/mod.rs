@@ -27,6 +27,8 @@ mod library;
 
 mod logs;
 
+mod jobs;
+
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
