@@ -17,5 +17,7 @@ pub mod download;
 pub mod listing;
 pub mod watch;
 
+pub mod labels;
+
 pub use connection::Connection;
 pub use error::{Error, Result};

@@ -30,6 +30,8 @@ use boxes::LabelledTrack;
 use calibration::Calibration;
 use clock::Clock;
 pub use error::{Error, Result};
+#[cfg(test)]
+pub(crate) use tracking_labels::camera_from_cuboid_rotation;
 use trajectory::Trajectory;
 
 /// Where the parts of a drive are.

@@ -1,0 +1,46 @@
+//! Label files of samples.
+
+mod json;
+mod kitti;
+mod regions;
+
+pub use json::{SampleRecord, sample_record};
+pub use kitti::{kitti_calibration, kitti_labels};
+
+use backlot_proto::v1;
+
+/// Joins the 2D view of every box of a frame with its 3D box, in the order of instance ids.
+fn boxes_of<'a>(
+    sample: &'a v1::Sample,
+    frame: &'a v1::SampleFrame,
+) -> impl Iterator<Item = (&'a v1::SampleBox, &'a v1::SampleBox2D)> {
+    frame.boxes_2d.iter().filter_map(|view| {
+        let same = |b: &&v1::SampleBox| b.instance_id == view.instance_id;
+        Some((sample.boxes_3d.iter().find(same)?, view))
+    })
+}
+
+/// KITTI's type name of a class.
+fn kitti_type(class: v1::ObjectClass) -> &'static str {
+    match class {
+        v1::ObjectClass::Car => "Car",
+        v1::ObjectClass::Van => "Van",
+        v1::ObjectClass::Truck => "Truck",
+        v1::ObjectClass::Bus => "Bus",
+        v1::ObjectClass::Tram => "Tram",
+        v1::ObjectClass::Pedestrian => "Pedestrian",
+        v1::ObjectClass::Cyclist => "Cyclist",
+        v1::ObjectClass::Other | v1::ObjectClass::Unspecified => "Misc",
+    }
+}
+
+/// The origin in lower case, e.g. "inserted".
+pub fn origin_name(origin: v1::BoxOrigin) -> &'static str {
+    match origin {
+        v1::BoxOrigin::Unspecified => "unspecified",
+        v1::BoxOrigin::Inserted => "inserted",
+        v1::BoxOrigin::Replaced => "replaced",
+        v1::BoxOrigin::Replayed => "replayed",
+        v1::BoxOrigin::Static => "static",
+    }
+}
