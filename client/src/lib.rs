@@ -19,5 +19,7 @@ pub mod watch;
 
 pub mod labels;
 
+pub mod picture;
+
 pub use connection::Connection;
 pub use error::{Error, Result};
