@@ -29,6 +29,11 @@ pub enum Error {
 }
 
 impl Error {
+    /// The error of a call that answered with a status that is not OK; `doing` says what was asked.
+    pub fn from_status(doing: &str, status: Status) -> Self {
+        Self::status(doing)(status)
+    }
+
     pub(crate) fn status(doing: impl Into<String>) -> impl FnOnce(Status) -> Self {
         let doing = doing.into();
         move |status| Self::Status {

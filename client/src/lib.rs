@@ -18,6 +18,7 @@ pub mod listing;
 pub mod watch;
 
 pub mod labels;
+pub mod sample_files;
 
 pub mod picture;
 

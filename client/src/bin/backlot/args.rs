@@ -1,0 +1,243 @@
+//! The arguments: the contract with people and scripts.
+
+use std::path::PathBuf;
+
+use clap::{Args, Parser, Subcommand, ValueEnum};
+
+/// Turn driving logs into labelled, augmented images.
+#[derive(Debug, Parser)]
+#[command(name = "backlot", version, propagate_version = true)]
+pub(crate) struct Arguments {
+    /// Address of the server.
+    #[arg(
+        long,
+        global = true,
+        env = "BACKLOT_SERVER",
+        value_name = "URL",
+        default_value = "http://127.0.0.1:50051"
+    )]
+    pub server: String,
+
+    /// Form of results on standard output.
+    #[arg(long, global = true, value_enum, default_value_t = Output::Table)]
+    pub output: Output,
+
+    #[command(subcommand)]
+    pub command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+pub(crate) enum Command {
+    /// Driving logs on the server.
+    #[command(subcommand)]
+    Logs(LogsCommand),
+    /// Training jobs.
+    #[command(subcommand)]
+    Jobs(JobsCommand),
+    /// Trained backgrounds and objects.
+    #[command(subcommand)]
+    Assets(AssetsCommand),
+    /// Render labelled samples from a background and the library's objects.
+    Augment(AugmentOptions),
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(crate) enum Output {
+    Table,
+    /// An array of objects.
+    Json,
+}
+
+#[derive(Debug, Subcommand)]
+pub(crate) enum LogsCommand {
+    /// Read a log and upload what the server lacks of it; run again after a cut to send the rest.
+    Upload(UploadOptions),
+    /// List the logs on the server.
+    List,
+    /// Show one log.
+    Show { log: String },
+    /// Remove a log.
+    Delete { log: String },
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct UploadOptions {
+    /// Folder of the log, e.g. .../2011_09_26_drive_0052_sync; not needed for the format `generated`.
+    #[arg(value_name = "PATH", required_if_eq("format", "kitti-raw"))]
+    pub path: Option<PathBuf>,
+    #[arg(long, value_enum)]
+    pub format: LogFormat,
+    #[command(flatten)]
+    pub parts: LogParts,
+    /// Name on the server.
+    #[arg(long)]
+    pub name: String,
+    /// Seed of a generated log.
+    #[arg(long, default_value_t = 1)]
+    pub seed: u64,
+}
+
+/// Parts of a KITTI raw log that lie elsewhere.
+#[derive(Clone, Debug, Default, Args)]
+pub(crate) struct LogParts {
+    /// Folder of calib_cam_to_cam.txt and calib_velo_to_cam.txt; by default the one above PATH.
+    #[arg(long, value_name = "DIR")]
+    pub calib_dir: Option<PathBuf>,
+    /// Camera poses in KITTI odometry format; by default the oxts packets of the drive.
+    #[arg(long, value_name = "FILE")]
+    pub poses: Option<PathBuf>,
+    /// tracklet_labels.xml or a KITTI tracking label file; by default the drive's tracklet_labels.xml.
+    #[arg(long, value_name = "FILE")]
+    pub tracks: Option<PathBuf>,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(crate) enum LogFormat {
+    /// Drive folder of the KITTI raw data set.
+    KittiRaw,
+}
+
+#[derive(Debug, Subcommand)]
+pub(crate) enum JobsCommand {
+    /// Queue training of a log's background, or of its objects.
+    Submit(SubmitOptions),
+    /// List jobs.
+    List {
+        /// Only jobs of this log.
+        #[arg(long)]
+        log: Option<String>,
+    },
+    /// Follow a job; fails if the job does.
+    Watch { job: String },
+    /// Ask a job to stop.
+    Cancel { job: String },
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct SubmitOptions {
+    #[arg(value_enum)]
+    pub kind: JobKind,
+    #[arg(long)]
+    pub log: String,
+    #[arg(long, value_enum, default_value_t = Budget::Standard)]
+    pub budget: Budget,
+    #[arg(long, default_value_t = 0)]
+    pub seed: u64,
+    /// Hold every n-th frame out of training for the quality report.
+    #[arg(long, value_name = "N")]
+    pub hold_out_every: Option<u32>,
+    /// Repeating a submission with the same id returns the same job.
+    #[arg(long)]
+    pub request_id: Option<String>,
+    /// Follow the job to its end; fails if the job does.
+    #[arg(long)]
+    pub watch: bool,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(crate) enum JobKind {
+    Background,
+    Objects,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(crate) enum Budget {
+    Quick,
+    Standard,
+    /// The constants of the paper.
+    Paper,
+}
+
+#[derive(Debug, Subcommand)]
+pub(crate) enum AssetsCommand {
+    /// List assets.
+    List {
+        /// Only assets of this kind.
+        #[arg(long, value_enum)]
+        kind: Option<AssetKind>,
+        /// Only assets of this log.
+        #[arg(long)]
+        log: Option<String>,
+    },
+    /// Show one asset.
+    Show { asset: String },
+    /// Write an asset's payload to a file.
+    Export {
+        asset: String,
+        #[arg(long, value_name = "FILE")]
+        out: PathBuf,
+    },
+    /// Remove an asset from the library.
+    Delete { asset: String },
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(crate) enum AssetKind {
+    Background,
+    Object,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct AugmentOptions {
+    #[arg(long)]
+    pub background: String,
+    /// Folder of the samples.
+    #[arg(long, value_name = "DIR")]
+    pub out: PathBuf,
+    #[arg(long, default_value_t = 12)]
+    pub count: u64,
+    #[arg(long, default_value_t = 0)]
+    pub seed: u64,
+    /// First sample of the recipe's sequence: continues an interrupted run.
+    #[arg(long, default_value_t = 0, value_name = "INDEX")]
+    pub start: u64,
+    #[arg(long, value_enum, default_value_t = Preset::Default)]
+    pub preset: Preset,
+    #[arg(long, value_enum, value_delimiter = ',', default_value = "kitti")]
+    pub label_format: Vec<LabelFormat>,
+    /// Library snapshot to draw from; by default the present library.
+    #[arg(long, value_name = "SNAPSHOT")]
+    pub snapshot: Option<String>,
+    /// Objects inserted a sample.
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    pub min_objects: u32,
+    #[arg(long, value_name = "N", default_value_t = 3)]
+    pub max_objects: u32,
+    /// Object assets to draw from; by default every one that passed the quality gate.
+    #[arg(long, value_delimiter = ',', value_name = "ASSET")]
+    pub objects: Vec<String>,
+    /// Probability that an original object is replaced by one of the library.
+    #[arg(long, value_name = "0..1", default_value_t = 0.0)]
+    pub replace: f64,
+    /// Leave the original moving objects out.
+    #[arg(long)]
+    pub drop_originals: bool,
+    /// Do not cast shadows from inserted objects.
+    #[arg(long)]
+    pub no_shadows: bool,
+    /// Size of the longer side of the images; by default as recorded.
+    #[arg(long, value_name = "PIXELS", default_value_t = 0)]
+    pub longer_side: u32,
+    /// Camera of the log to render; by default the first.
+    #[arg(long, default_value = "")]
+    pub camera: String,
+    /// Write no depth images.
+    #[arg(long)]
+    pub no_depth: bool,
+    /// Write no instance images.
+    #[arg(long)]
+    pub no_instance: bool,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(crate) enum Preset {
+    Default,
+    Paper,
+    PaperNoRt,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(crate) enum LabelFormat {
+    Kitti,
+    Json,
+}
