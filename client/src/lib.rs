@@ -4,6 +4,8 @@ pub mod error;
 
 pub mod read_log;
 
+pub mod generator;
+
 pub mod kitti;
 
 pub mod geometry;

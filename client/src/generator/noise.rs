@@ -1,0 +1,75 @@
+//! Hashes and value noise: every pattern of the street is a pure function of position and seed.
+
+use glam::Vec2;
+
+/// Mixes integers to 32 well distributed bits (the finaliser of MurmurHash3).
+pub(super) fn hash(a: u32, b: u32, c: u32) -> u32 {
+    let mut h = a
+        .wrapping_mul(0x9e37_79b1)
+        .wrapping_add(b.wrapping_mul(0x85eb_ca77))
+        .wrapping_add(c.wrapping_mul(0xc2b2_ae3d));
+    h ^= h >> 16;
+    h = h.wrapping_mul(0x85eb_ca6b);
+    h ^= h >> 13;
+    h = h.wrapping_mul(0xc2b2_ae35);
+    h ^ (h >> 16)
+}
+
+/// Uniform in [0, 1).
+pub(super) fn unit(a: u32, b: u32, c: u32) -> f32 {
+    (hash(a, b, c) >> 8) as f32 * (1.0 / 16_777_216.0)
+}
+
+/// Standard normal by Box-Muller; `stream` separates independent uses of the same indices.
+pub(super) fn gaussian(a: u32, b: u32, stream: u32) -> f64 {
+    let u1 = f64::from(unit(a, b, stream.wrapping_mul(2))).max(1e-9);
+    let u2 = f64::from(unit(a, b, stream.wrapping_mul(2).wrapping_add(1)));
+    (-2.0 * libm::log(u1)).sqrt() * libm::cos(std::f64::consts::TAU * u2)
+}
+
+/// Smooth value noise in [-1, 1] with features of size 1.
+pub(super) fn value(p: Vec2, seed: u32) -> f32 {
+    let cell = p.floor();
+    let f = p - cell;
+    let s = f * f * f * (f * (f * 6.0 - 15.0) + 10.0);
+    let (i, j) = (cell.x as i32 as u32, cell.y as i32 as u32);
+    let n = |di: u32, dj: u32| unit(i.wrapping_add(di), j.wrapping_add(dj), seed);
+    let low = n(0, 0) + (n(1, 0) - n(0, 0)) * s.x;
+    let high = n(0, 1) + (n(1, 1) - n(0, 1)) * s.x;
+    (low + (high - low) * s.y) * 2.0 - 1.0
+}
+
+/// Fractal noise, roughly in [-1, 1]; octaves finer than twice the filter `width` fade out, so images do not alias.
+pub(super) fn fractal(p: Vec2, feature: f32, octaves: u32, width: f32, seed: u32) -> f32 {
+    let mut sum = 0.0;
+    let (mut amplitude, mut size) = (0.5, feature);
+    for octave in 0..octaves {
+        let keep = 1.0 - smoothstep(0.35, 0.9, width / size);
+        if keep <= 0.0 {
+            break;
+        }
+        sum += keep * amplitude * value(p / size, seed.wrapping_add(octave * 101));
+        amplitude *= 0.55;
+        size *= 0.5;
+    }
+    sum
+}
+
+pub(super) fn smoothstep(low: f32, high: f32, x: f32) -> f32 {
+    let t = ((x - low) / (high - low)).clamp(0.0, 1.0);
+    t * t * (3.0 - 2.0 * t)
+}
+
+/// Share of the interval of `width` around `x` that lies in [low, high]: a box-filtered stripe.
+pub(super) fn stripe(x: f32, low: f32, high: f32, width: f32) -> f32 {
+    let w = width.max(1e-5);
+    let covered = (x + 0.5 * w).min(high) - (x - 0.5 * w).max(low);
+    (covered / w).clamp(0.0, 1.0)
+}
+
+/// Share of the interval of `width` around `x` covered by stripes [0, duty] repeated with period 1.
+pub(super) fn stripes(x: f32, duty: f32, width: f32) -> f32 {
+    let w = width.max(1e-5);
+    let integral = |t: f32| t.floor() * duty + (t - t.floor()).min(duty);
+    ((integral(x + 0.5 * w) - integral(x - 0.5 * w)) / w).clamp(0.0, 1.0)
+}

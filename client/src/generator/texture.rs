@@ -1,0 +1,362 @@
+//! Procedural finishes of the street: linear albedo and gloss as functions of position, filtered to a pixel's footprint.
+
+use glam::{Vec2, Vec3};
+
+use super::facade::Building;
+use super::noise::{fractal, hash, smoothstep, stripe, stripes, unit, value};
+use super::street::{Material, ROAD_HALF_WIDTH_M};
+
+/// Optical properties of a surface point.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Finish {
+    /// Linear RGB in 0..1.
+    pub(super) albedo: Vec3,
+    /// Mirror reflectance at normal incidence; 0 is matt.
+    pub(super) mirror: f32,
+    /// Separates areas of one mesh that differ in colour, so that their borders are anti-aliased.
+    pub(super) region: u16,
+}
+
+/// A point on a static surface: street coordinates, unit normal, and the pixel's extent along each axis, all metres.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Point {
+    pub(super) position: Vec3,
+    pub(super) normal: Vec3,
+    pub(super) extent: Vec3,
+}
+
+pub(super) fn matt(albedo: Vec3) -> Finish {
+    Finish {
+        albedo,
+        mirror: 0.0,
+        region: 0,
+    }
+}
+
+/// The plane z = 0: asphalt with markings between the kerbs, grass outside.
+pub(super) fn ground(point: &Point, seed: u32) -> Finish {
+    let p = Vec2::new(point.position.x, point.position.y);
+    let extent = Vec2::new(point.extent.x, point.extent.y);
+    if p.y.abs() > ROAD_HALF_WIDTH_M + 0.1 {
+        let tone = fractal(p, 3.0, 4, extent.max_element(), seed ^ 0x51);
+        return matt(Vec3::new(0.10, 0.15, 0.05) * (1.0 + 0.5 * tone));
+    }
+    let asphalt = asphalt(p, extent, seed);
+    let wear = 0.78 + 0.22 * fractal(p, 0.35, 3, extent.max_element(), seed ^ 0x77);
+    let paint = markings(p, extent) * wear.clamp(0.0, 1.0);
+    matt(asphalt.lerp(Vec3::new(0.66, 0.66, 0.63), paint))
+}
+
+fn asphalt(p: Vec2, extent: Vec2, seed: u32) -> Vec3 {
+    // The footprint is long in x at grazing angles: several taps along it keep the lateral detail.
+    let taps = (extent.x / extent.y.max(0.01)).clamp(1.0, 4.0) as u32;
+    let width = extent.y.max(extent.x / taps as f32);
+    let mut grain = 0.0;
+    for tap in 0..taps {
+        let offset = ((tap as f32 + 0.5) / taps as f32 - 0.5) * extent.x;
+        grain += fractal(p + Vec2::new(offset, 0.0), 0.30, 4, width, seed ^ 0x11);
+    }
+    grain /= taps as f32;
+    let broad = extent.max_element();
+    let patches = fractal(p * Vec2::new(0.45, 1.0), 2.6, 4, broad, seed ^ 0x22);
+    let tyres = [-1.0_f32, 1.0]
+        .iter()
+        .flat_map(|lane| [-0.75_f32, 0.75].map(|track| (p.y.abs() - 1.75 - track) * lane))
+        .map(|d| (-(d / 0.28) * (d / 0.28)).exp())
+        .sum::<f32>();
+    let mut albedo = 0.165 * (1.0 + 0.34 * grain + 0.26 * patches - 0.045 * tyres);
+    albedo *= 1.0 - 0.42 * repair(p, extent, seed);
+    albedo *= 1.0 - 0.55 * crack(p, extent, seed);
+    albedo *= 1.0 - 0.5 * stain(p, broad, seed);
+    Vec3::new(1.0, 0.985, 0.95) * albedo
+}
+
+/// Darker rectangles where the road was opened and closed again.
+fn repair(p: Vec2, extent: Vec2, seed: u32) -> f32 {
+    const CELL_M: f32 = 11.0;
+    let cell = (p.x / CELL_M).floor();
+    let draw = |k: u32| unit(cell as i32 as u32, k, seed ^ 0x33);
+    if draw(0) < 0.3 {
+        return 0.0;
+    }
+    let x0 = (cell + 0.1 + 0.3 * draw(1)) * CELL_M;
+    let y0 = -5.0 + 8.0 * draw(2);
+    stripe(p.x, x0, x0 + 2.0 + 3.5 * draw(3), extent.x)
+        * stripe(p.y, y0, y0 + 0.8 + 1.6 * draw(4), extent.y)
+}
+
+/// Thin dark lines that wander along the road.
+fn crack(p: Vec2, extent: Vec2, seed: u32) -> f32 {
+    let mut total = 0.0;
+    for line in 0..3_u32 {
+        let base = -4.2 + 3.6 * line as f32;
+        let centre = base
+            + 0.9 * value(Vec2::new(p.x * 0.22, line as f32 * 7.0), seed ^ 0x44)
+            + 0.14 * value(Vec2::new(p.x * 1.9, line as f32 * 5.0), seed ^ 0x45);
+        let open = smoothstep(
+            -0.1,
+            0.3,
+            value(Vec2::new(p.x * 0.11, line as f32 * 3.0), seed ^ 0x46),
+        );
+        total += open
+            * stripe(
+                p.y,
+                centre - 0.02,
+                centre + 0.02,
+                extent.y + 0.35 * extent.x,
+            );
+    }
+    total.min(1.0)
+}
+
+fn stain(p: Vec2, width: f32, seed: u32) -> f32 {
+    // Oil drips where cars park and in the middle of lanes.
+    let near = (-((p.y.abs() - 4.6) / 0.7).powi(2)).exp()
+        + 0.6 * (-((p.y.abs() - 1.75) / 0.35).powi(2)).exp();
+    let blot = fractal(p, 1.3, 3, width, seed ^ 0x55);
+    near.min(1.0) * smoothstep(0.12, 0.4, blot)
+}
+
+/// Coverage of road paint: a dashed centre line, edge lines, a zebra crossing and arrows.
+fn markings(p: Vec2, e: Vec2) -> f32 {
+    let dashes = stripes(p.x / 6.0, 0.5, e.x / 6.0) * stripe(p.y, -0.07, 0.07, e.y);
+    let edges = stripe(p.y.abs(), 3.42, 3.54, e.y);
+    let bays = stripes((p.x - 2.0) / 6.2, 0.1 / 6.2, e.x / 6.2) * stripe(p.y.abs(), 3.54, 5.6, e.y);
+    let mut paint = dashes.max(edges).max(bays);
+    for crossing in [46.0_f32, 128.0] {
+        let inside = stripe(p.x, crossing - 0.6, crossing + 3.6, e.x);
+        let zebra =
+            stripe(p.x, crossing, crossing + 3.0, e.x) * stripes(p.y / 1.0 + 0.25, 0.5, e.y);
+        let stop = stripe(p.x, crossing - 1.6, crossing - 1.2, e.x) * stripe(p.y, -3.4, 0.0, e.y);
+        paint = (paint * (1.0 - inside))
+            .max(zebra * stripe(p.y, -5.2, 5.2, e.y))
+            .max(stop);
+    }
+    for (tip, lane) in [(27.0_f32, -1.75_f32), (72.0, -1.75), (104.0, -1.75)] {
+        paint = paint.max(arrow(p - Vec2::new(tip, lane), e));
+    }
+    paint
+}
+
+/// An arrow pointing along +x with its tip at the origin.
+fn arrow(q: Vec2, e: Vec2) -> f32 {
+    let shaft = stripe(q.x, -4.0, -1.4, e.x) * stripe(q.y, -0.09, 0.09, e.y);
+    let half = 0.42 * (-q.x / 1.6).clamp(0.0, 1.0);
+    let head = stripe(q.x, -1.6, 0.0, e.x) * stripe(q.y, -half, half, e.y + 0.26 * e.x);
+    shaft.max(head)
+}
+
+/// Finish of everything else that does not move.
+pub(super) fn fixed(
+    material: Material,
+    point: &Point,
+    buildings: &[Building],
+    seed: u32,
+) -> Finish {
+    let p = point.position;
+    let width = point.extent.max_element();
+    let building = |index: u16| &buildings[index as usize];
+    match material {
+        Material::Pavement => pavement(point, seed),
+        Material::Kerb => {
+            let joint = stripes(p.x, 0.02, point.extent.x);
+            let tone = unit(p.x.floor() as i32 as u32, 3, seed) - 0.5;
+            matt(Vec3::splat(0.36 * (1.0 + 0.2 * tone) * (1.0 - 0.5 * joint)))
+        }
+        Material::Wall(index) => wall(building(index), point),
+        Material::Trim(index) => {
+            let dirt = fractal(across(point), 0.8, 3, width, building(index).seed);
+            matt(building(index).trim * (1.0 + 0.14 * dirt))
+        }
+        Material::Pane(index) => pane(building(index), point),
+        Material::ShopPane(index) => shop_pane(building(index), point),
+        Material::Door(index) => {
+            let uv = across(point);
+            let panel =
+                stripes(uv.x * 1.8, 0.12, width * 1.8).max(stripes(uv.y * 1.3, 0.1, width * 1.3));
+            matt(building(index).accent * (1.5 - 0.6 * panel) + Vec3::splat(0.02))
+        }
+        Material::Sign(index) => sign(building(index), point),
+        Material::Roof(index) => {
+            let rows = stripes(p.z * 2.6, 0.18, point.extent.z * 2.6);
+            let tone = fractal(
+                Vec2::new(p.x + p.y, p.z * 2.0),
+                0.9,
+                3,
+                width,
+                building(index).seed,
+            );
+            matt(Vec3::new(0.24, 0.105, 0.07) * (1.0 + 0.3 * tone) * (1.0 - 0.4 * rows))
+        }
+        Material::Bark => {
+            let tone = fractal(
+                Vec2::new((p.x + p.y) * 3.0, p.z),
+                0.22,
+                3,
+                width,
+                seed ^ 0x91,
+            );
+            matt(Vec3::new(0.15, 0.11, 0.08) * (1.0 + 0.6 * tone))
+        }
+        Material::Leaves(kind) => leaves(point, kind, seed),
+        Material::Metal => Finish {
+            mirror: 0.03,
+            ..matt(Vec3::new(0.13, 0.14, 0.15))
+        },
+        Material::Lamp => matt(Vec3::splat(0.55)),
+        Material::RoadSign => road_sign(point),
+        Material::Bin => {
+            let bands = stripes(p.z * 5.0, 0.3, point.extent.z * 5.0);
+            matt(Vec3::new(0.05, 0.13, 0.08) * (1.0 + 0.7 * bands))
+        }
+        Material::Hill => {
+            let tone = fractal(Vec2::new(p.x + p.y, 2.0 * p.z), 18.0, 4, width, seed ^ 0xa1);
+            matt(Vec3::new(0.10, 0.15, 0.08) * (1.0 + 0.5 * tone))
+        }
+    }
+}
+
+/// Coordinates in a vertical surface: horizontal position, height.
+fn across(point: &Point) -> Vec2 {
+    let along = if point.normal.y.abs() > point.normal.x.abs() {
+        point.position.x
+    } else {
+        point.position.y
+    };
+    Vec2::new(along, point.position.z)
+}
+
+fn across_extent(point: &Point) -> Vec2 {
+    let along = if point.normal.y.abs() > point.normal.x.abs() {
+        point.extent.x
+    } else {
+        point.extent.y
+    };
+    Vec2::new(along, point.extent.z)
+}
+
+fn pavement(point: &Point, seed: u32) -> Finish {
+    let p = Vec2::new(point.position.x, point.position.y);
+    let e = Vec2::new(point.extent.x, point.extent.y);
+    const SLAB_M: f32 = 0.6;
+    let joints =
+        stripes(p.x / SLAB_M, 0.03, e.x / SLAB_M).max(stripes(p.y / SLAB_M, 0.03, e.y / SLAB_M));
+    let slab = (p / SLAB_M).floor();
+    let keep = 1.0 - smoothstep(0.3, 1.0, e.max_element() / SLAB_M);
+    let tone = (unit(slab.x as i32 as u32, slab.y as i32 as u32, seed ^ 0x61) - 0.5) * keep;
+    let dirt = fractal(p, 1.1, 5, e.max_element(), seed ^ 0x62);
+    matt(Vec3::new(0.37, 0.355, 0.33) * (1.0 + 0.28 * tone + 0.22 * dirt) * (1.0 - 0.45 * joints))
+}
+
+fn wall(building: &Building, point: &Point) -> Finish {
+    let (uv, e) = (across(point), across_extent(point));
+    let width = e.max_element();
+    let stains = fractal(
+        uv * Vec2::new(1.0, 0.45),
+        1.9,
+        5,
+        width,
+        building.seed ^ 0x71,
+    );
+    // Rain splash darkens the foot of a wall.
+    let foot = 1.0 - 0.22 * (-(uv.y - 0.1).max(0.0) / 0.5).exp();
+    if !building.brick {
+        let grain = fractal(uv, 0.14, 2, width, building.seed ^ 0x72);
+        return matt(building.wall * (1.0 + 0.22 * stains + 0.10 * grain) * foot);
+    }
+    const BRICK: Vec2 = Vec2::new(0.30, 0.105);
+    let row = (uv.y / BRICK.y).floor();
+    let u = uv.x / BRICK.x + 0.5 * (row.rem_euclid(2.0));
+    let mortar = stripes(u, 0.07, e.x / BRICK.x).max(stripes(uv.y / BRICK.y, 0.17, e.y / BRICK.y));
+    let keep = 1.0 - smoothstep(0.4, 1.2, width / BRICK.y);
+    let tone = (unit(u.floor() as i32 as u32, row as i32 as u32, building.seed) - 0.5) * keep;
+    let brick = building.wall * (1.0 + 0.6 * tone + 0.30 * stains);
+    matt(brick.lerp(Vec3::new(0.40, 0.37, 0.33), mortar * 0.8) * foot)
+}
+
+/// A window pane: a dim room, sometimes curtains, and a mirror of the street.
+fn pane(building: &Building, point: &Point) -> Finish {
+    let uv = across(point);
+    let room = hash(
+        (uv.x / 2.7).floor() as i32 as u32,
+        (uv.y / 3.05).floor() as i32 as u32,
+        building.seed,
+    );
+    let curtain = 0.5 + 0.5 * value(Vec2::new(uv.x * 9.0, 0.5), room);
+    let inside = match room % 3 {
+        0 => Vec3::new(0.30, 0.28, 0.25) * (0.55 + 0.45 * curtain),
+        1 => Vec3::new(0.025, 0.027, 0.03),
+        _ => Vec3::new(0.05, 0.048, 0.045),
+    };
+    Finish {
+        albedo: inside,
+        mirror: 0.09,
+        region: 0,
+    }
+}
+
+fn shop_pane(building: &Building, point: &Point) -> Finish {
+    let (uv, e) = (across(point), across_extent(point));
+    let goods = fractal(
+        uv * Vec2::new(1.0, 0.8),
+        0.55,
+        2,
+        e.max_element(),
+        building.seed ^ 0x81,
+    );
+    let tint = building
+        .accent
+        .lerp(Vec3::new(0.30, 0.24, 0.16), smoothstep(-0.2, 0.3, goods));
+    let shelf = stripe(uv.y, 0.65, 1.25 + 0.4 * goods, e.y);
+    Finish {
+        albedo: (Vec3::splat(0.03) + 0.6 * tint * shelf).min(Vec3::ONE),
+        mirror: 0.08,
+        region: 0,
+    }
+}
+
+/// A shop sign with a row of letter-like strokes.
+fn sign(building: &Building, point: &Point) -> Finish {
+    let (uv, e) = (across(point), across_extent(point));
+    const LETTER_M: f32 = 0.30;
+    let cell = (uv.x / LETTER_M).floor();
+    let letter = hash(cell as i32 as u32, building.seed, 5);
+    let word =
+        letter % 7 != 0 && hash((cell / 13.0).floor() as i32 as u32, building.seed, 6) % 3 != 0;
+    let (u, v) = (uv.x - cell * LETTER_M, uv.y - 2.90);
+    let upright =
+        stripe(u, 0.04, 0.09, e.x).max(stripe(u, 0.18, 0.23, e.x) * (letter >> 4 & 1) as f32);
+    let bars = [0.0_f32, 0.11, 0.24]
+        .iter()
+        .enumerate()
+        .map(|(i, z)| stripe(v, *z, z + 0.05, e.y) * (letter >> (5 + i) & 1) as f32)
+        .fold(0.0, f32::max);
+    let stroke = (upright * stripe(v, 0.0, 0.29, e.y)).max(bars * stripe(u, 0.04, 0.23, e.x));
+    let ink = if word { stroke } else { 0.0 };
+    matt((building.accent * 1.2).lerp(Vec3::new(0.72, 0.68, 0.55), ink))
+}
+
+fn leaves(point: &Point, kind: u16, seed: u32) -> Finish {
+    let p = point.position;
+    let width = point.extent.max_element();
+    let uv = Vec2::new(p.x + 0.7 * p.z, p.y - 0.6 * p.z);
+    let clumps = fractal(uv, 0.55, 3, width, seed ^ 0xb1);
+    let side = fractal(Vec2::new(p.x - p.y, p.z * 1.3), 0.40, 3, width, seed ^ 0xb2);
+    let tint = [
+        Vec3::new(0.085, 0.16, 0.035),
+        Vec3::new(0.12, 0.17, 0.04),
+        Vec3::new(0.06, 0.13, 0.045),
+    ][kind as usize % 3];
+    matt(tint * (1.0 + 0.75 * clumps + 0.65 * side).max(0.15))
+}
+
+/// A round sign: red ring, white middle, dark bar.
+fn road_sign(point: &Point) -> Finish {
+    let v = point.position.z - 2.58;
+    let side = point.position.y.abs() - 6.1;
+    let radius = v.hypot(side);
+    let ring = smoothstep(0.225, 0.24, radius);
+    let bar = stripe(v, -0.05, 0.05, point.extent.z) * stripe(side, -0.15, 0.15, point.extent.y);
+    let face = Vec3::splat(0.72).lerp(Vec3::splat(0.05), bar);
+    matt(face.lerp(Vec3::new(0.50, 0.03, 0.03), ring))
+}
