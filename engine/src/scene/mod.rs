@@ -12,6 +12,9 @@ mod collision;
 mod coverage;
 mod density;
 mod footprint;
+mod ground;
+mod path;
+mod region_builder;
 mod valid_region;
 
 mod composition;
@@ -29,6 +32,11 @@ mod ignore;
 mod labels;
 mod lidar;
 
+#[cfg(test)]
+mod box_world;
+#[cfg(test)]
+mod region_tests;
+
 pub use collision::{Occupied, intersection_area_m2};
 pub use composition::{ATTEMPTS, Candidate, Composition, Origin, PlacedObject, Stage, compose};
 pub use density::{DensityField, HALF_TAU};
@@ -40,6 +48,7 @@ pub use projection::{PixelBox, amodal_box, corners};
 pub use random::Draws;
 pub use recipe::{Jitter, MAX_OBJECTS, MAX_SIDE_PX, PlacementPreset, Recipe};
 pub use recording::{RecordedCamera, RecordedFrame, RecordedTrack, Recording};
+pub use region_builder::RegionConfig;
 pub use rejection::Rejection;
 pub use render::{RenderOptions, RenderedFrame, Scene, SceneObject, StaticObject, render};
 pub use valid_region::{Cell, NO_GROUND, Unsupported, ValidRegion};

@@ -1,0 +1,238 @@
+//! Ground heights from a density field, grown outwards from the driven path.
+//!
+//! The path is known to be road, so the search for the surface starts there and carries a prediction from cell to cell: a roof or a
+//! wall is never taken for ground, because it steps away from the prediction, and small holes are bridged.
+
+use std::collections::VecDeque;
+
+use glam::DVec2;
+
+use super::density::DensityField;
+use super::path::DrivenPath;
+use super::region_builder::RegionConfig;
+use super::valid_region::{NO_GROUND, ValidRegion};
+
+/// What growing found at a cell.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Found {
+    /// Not reached.
+    Nothing,
+    Ground,
+    /// No surface within the window; the height is the neighbours'.
+    Hole(u8),
+    /// A surface, but a step away from its neighbours or off the road's plane.
+    Step,
+}
+
+/// Vertical optical depth at which the surface is said to start. Roads are seen at grazing angles, where this is half opaque.
+const SURFACE_TAU: f64 = 0.1;
+const PROBE_STEP_M: f64 = 0.025;
+/// Half height of the window around the predicted height.
+const WINDOW_M: f64 = 0.25;
+/// Holes in the reconstruction narrower than this many cells are bridged.
+const MAX_HOLE_CELLS: u8 = 2;
+/// Search below a camera for the road: cameras of cars and trucks are 1 to 3 m high.
+const CAMERA_HEIGHT_M: (f64, f64) = (0.4, 4.0);
+/// Ahead of the last pose, the path's own height is trusted this far.
+const SEED_AHEAD_M: usize = 10;
+
+/// Fills `region.ground_m` and says what was found per cell; `None` if no road is found under the path.
+pub(super) fn grow_ground(
+    field: &dyn DensityField,
+    path: &DrivenPath,
+    config: &RegionConfig,
+    region: &mut ValidRegion,
+) -> Option<Vec<Found>> {
+    let camera_height = camera_height(field, path)?;
+    let mut found = vec![Found::Nothing; region.cells.len()];
+    let mut queue = seed(field, path, camera_height, region, &mut found);
+    while let Some(from) = queue.pop_front() {
+        for to in neighbours(region, from, false) {
+            if found[to] != Found::Nothing
+                || !path.is_beside(region.centre(to), config.max_lateral_m)
+            {
+                continue;
+            }
+            let Some(predicted) = predict(region, &found, to) else {
+                continue;
+            };
+            let surface = cell_surface(field, region, to, predicted);
+            found[to] = match surface {
+                Some(z) if (z - predicted).abs() <= config.max_step_m => Found::Ground,
+                Some(_) => Found::Step,
+                None => match found[from] {
+                    Found::Hole(cells) => Found::Hole(cells + 1),
+                    _ => Found::Hole(1),
+                },
+            };
+            region.ground_m[to] = match found[to] {
+                Found::Ground => surface.unwrap_or(predicted),
+                _ => predicted,
+            };
+            let bridged = !matches!(found[to], Found::Hole(cells) if cells >= MAX_HOLE_CELLS);
+            if found[to] != Found::Step && bridged {
+                queue.push_back(to);
+            }
+        }
+    }
+    smooth(region, &found);
+    reject_off_road(path, camera_height, config, region, &mut found);
+    Some(found)
+}
+
+/// Median height of the cameras above the surface under the path: floaters before the lens are few.
+fn camera_height(field: &dyn DensityField, path: &DrivenPath) -> Option<f64> {
+    let last = (path.driven + SEED_AHEAD_M).min(path.points().len());
+    let mut heights: Vec<f64> = path.points()[..last]
+        .iter()
+        .filter_map(|p| {
+            let (top, bottom) = (p.z - CAMERA_HEIGHT_M.0, p.z - CAMERA_HEIGHT_M.1);
+            surface(field, p.truncate(), top, bottom).map(|z| p.z - z)
+        })
+        .collect();
+    heights.sort_by(f64::total_cmp);
+    (!heights.is_empty()).then(|| heights[heights.len() / 2])
+}
+
+/// Marks the cells under the path whose surface is where the cameras' height says.
+fn seed(
+    field: &dyn DensityField,
+    path: &DrivenPath,
+    camera_height: f64,
+    region: &mut ValidRegion,
+    found: &mut [Found],
+) -> VecDeque<usize> {
+    let mut queue = VecDeque::new();
+    let last = (path.driven + SEED_AHEAD_M).min(path.points().len());
+    for p in &path.points()[..last] {
+        let Some(cell) = region.index_at(p.truncate()) else {
+            continue;
+        };
+        if found[cell] != Found::Nothing {
+            continue;
+        }
+        if let Some(z) = cell_surface(field, region, cell, p.z - camera_height)
+            && (z - (p.z - camera_height)).abs() < WINDOW_M * 0.8
+        {
+            region.ground_m[cell] = z;
+            found[cell] = Found::Ground;
+            queue.push_back(cell);
+        }
+    }
+    queue
+}
+
+/// Mean height of the grounded cells around, or of the bridged ones if there is no other.
+fn predict(region: &ValidRegion, found: &[Found], cell: usize) -> Option<f64> {
+    let mean = |wanted: fn(Found) -> bool| {
+        let (mut sum, mut count) = (0.0, 0.0);
+        for n in neighbours(region, cell, true).filter(|n| wanted(found[*n])) {
+            sum += region.ground_m[n];
+            count += 1.0;
+        }
+        (count > 0.0).then(|| sum / count)
+    };
+    mean(|f| f == Found::Ground).or_else(|| mean(|f| matches!(f, Found::Hole(_))))
+}
+
+/// Median of five probes in the cell; `None` unless three find a surface.
+fn cell_surface(
+    field: &dyn DensityField,
+    region: &ValidRegion,
+    cell: usize,
+    predicted: f64,
+) -> Option<f64> {
+    let quarter = region.cell_m * 0.25;
+    let centre = region.centre(cell);
+    let offsets = [
+        (0.0, 0.0),
+        (1.0, 1.0),
+        (1.0, -1.0),
+        (-1.0, 1.0),
+        (-1.0, -1.0),
+    ];
+    let mut heights: Vec<f64> = offsets
+        .iter()
+        .filter_map(|(x, y)| {
+            let p = centre + DVec2::new(*x, *y) * quarter;
+            surface(field, p, predicted + WINDOW_M, predicted - WINDOW_M)
+        })
+        .collect();
+    heights.sort_by(f64::total_cmp);
+    (heights.len() >= 3).then(|| heights[heights.len() / 2])
+}
+
+/// Height at which the optical depth from `top` downwards reaches [`SURFACE_TAU`].
+fn surface(field: &dyn DensityField, p: DVec2, top: f64, bottom: f64) -> Option<f64> {
+    let steps = libm::ceil((top - bottom) / PROBE_STEP_M) as i32;
+    let mut tau = 0.0;
+    for i in 0..steps {
+        let z = top - f64::from(i) * PROBE_STEP_M;
+        let step = field.sigma(p.extend(z - 0.5 * PROBE_STEP_M)) * PROBE_STEP_M;
+        if tau + step >= SURFACE_TAU {
+            return Some(z - PROBE_STEP_M * (SURFACE_TAU - tau) / step);
+        }
+        tau += step;
+    }
+    None
+}
+
+/// Indices around a cell: four, or eight with `diagonal`.
+fn neighbours(
+    region: &ValidRegion,
+    cell: usize,
+    diagonal: bool,
+) -> impl Iterator<Item = usize> + use<> {
+    let (columns, rows) = (region.columns as i64, region.rows as i64);
+    let (column, row) = (cell as i64 % columns, cell as i64 / columns);
+    (-1..=1i64)
+        .flat_map(|dy| (-1..=1i64).map(move |dx| (dx, dy)))
+        .filter(move |(dx, dy)| (*dx != 0 || *dy != 0) && (diagonal || *dx == 0 || *dy == 0))
+        .map(move |(dx, dy)| (column + dx, row + dy))
+        .filter(move |(x, y)| (0..columns).contains(x) && (0..rows).contains(y))
+        .map(move |(x, y)| (y * columns + x) as usize)
+}
+
+/// Replaces each ground height by the median of the grounded cells around it, itself included.
+fn smooth(region: &mut ValidRegion, found: &[Found]) {
+    let before = region.ground_m.clone();
+    for cell in (0..found.len()).filter(|c| found[*c] == Found::Ground) {
+        let mut heights: Vec<f64> = neighbours(region, cell, true)
+            .chain([cell])
+            .filter(|n| found[*n] == Found::Ground)
+            .map(|n| before[n])
+            .collect();
+        heights.sort_by(f64::total_cmp);
+        let middle = heights.len() / 2;
+        region.ground_m[cell] = if heights.len() % 2 == 1 {
+            heights[middle]
+        } else {
+            0.5 * (heights[middle - 1] + heights[middle])
+        };
+    }
+}
+
+/// Pavements and verges leave the plane of the road: limits the height above or below the path's ground by distance from it.
+fn reject_off_road(
+    path: &DrivenPath,
+    camera_height: f64,
+    config: &RegionConfig,
+    region: &ValidRegion,
+    found: &mut [Found],
+) {
+    for cell in 0..found.len() {
+        if found[cell] != Found::Ground {
+            continue;
+        }
+        let beside = path.beside(region.centre(cell));
+        let under_path = region
+            .index_at(beside.foot)
+            .map(|i| region.ground_m[i])
+            .filter(|z| *z != NO_GROUND)
+            .unwrap_or(beside.camera_z - camera_height);
+        let limit = config.max_step_m + config.cross_slope * beside.distance_m;
+        if (region.ground_m[cell] - under_path).abs() > limit {
+            found[cell] = Found::Step;
+        }
+    }
+}

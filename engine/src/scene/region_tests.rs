@@ -1,0 +1,195 @@
+//! The valid region of an analytic street: wall, parked car, a hole in the ground, and a 5 % slope.
+
+use glam::{DVec2, DVec3};
+
+use super::box_world::{BoxWorld, drive};
+use super::region_builder::RegionConfig;
+use super::valid_region::{Cell, ValidRegion};
+
+const SLOPE: f64 = 0.05;
+
+fn street() -> BoxWorld {
+    BoxWorld {
+        slope: SLOPE,
+        boxes: vec![
+            // A wall along the left side, then a parked car on the right.
+            (DVec3::new(10.0, 4.0, 0.0), DVec3::new(30.0, 4.5, 3.0)),
+            (DVec3::new(22.0, -5.0, 0.0), DVec3::new(26.5, -3.0, 1.5)),
+        ],
+        half_width: 10.0,
+        length: 60.0,
+    }
+}
+
+fn config() -> RegionConfig {
+    RegionConfig {
+        ahead_m: 20.0,
+        max_lateral_m: 7.0,
+        max_views: usize::MAX,
+        ..RegionConfig::default()
+    }
+}
+
+/// What each cell must be, from the definition and exact sight lines alone.
+fn expected(world: &BoxWorld, region: &ValidRegion, config: &RegionConfig) -> Vec<Cell> {
+    let recording = drive(SLOPE, 31, 1.0);
+    let inside = |c: DVec2| {
+        world
+            .boxes
+            .iter()
+            .any(|(low, high)| c.x > low.x && c.x < high.x && c.y > low.y && c.y < high.y)
+    };
+    (0..region.cells.len())
+        .map(|cell| {
+            let c = region.centre(cell);
+            // The path along the slope is driven for 30 m on the level and goes on for 20 m up it.
+            let end = 30.0 + 20.0 / (1.0 + SLOPE * SLOPE).sqrt();
+            if c.y.abs() > config.max_lateral_m || c.x < 0.0 || c.x > end {
+                return Cell::Unseen;
+            }
+            if inside(c) {
+                return Cell::Blocked;
+            }
+            let ground = c.extend(world.ground(c.x));
+            let seen = recording.frames.iter().filter(|frame| {
+                let eye = frame.local_from_camera.translation_m;
+                let pixel = recording.cameras[0]
+                    .camera
+                    .project(frame.local_from_camera.inverse().point(ground));
+                let in_image = pixel
+                    .is_some_and(|px| px.x >= 0.0 && px.x < 640.0 && px.y >= 0.0 && px.y < 384.0);
+                let range = (ground - eye).length();
+                let open = |target: DVec3, slack: f64| {
+                    let offset = target - eye;
+                    let reach = offset.length() - slack;
+                    world.trace(eye, offset.normalize(), reach).is_none()
+                };
+                in_image
+                    && (3.0..config.view_range_m).contains(&range)
+                    && open(ground, 0.1)
+                    && open(ground + DVec3::Z * 0.8, 0.3)
+            });
+            if seen.count() >= config.min_views {
+                Cell::Free
+            } else {
+                Cell::Unseen
+            }
+        })
+        .collect()
+}
+
+fn draw(region: &ValidRegion, cells: &[Cell]) -> String {
+    (0..region.rows)
+        .rev()
+        .map(|row| {
+            let line = &cells[row * region.columns..(row + 1) * region.columns];
+            let letters = line.iter().map(|c| match c {
+                Cell::Unseen => '.',
+                Cell::Free => 'f',
+                Cell::Blocked => '#',
+                Cell::Uneven => 'u',
+            });
+            letters.chain(['\n']).collect::<String>()
+        })
+        .collect()
+}
+
+#[test]
+fn street_gives_exactly_the_expected_map() {
+    let (world, config) = (street(), config());
+    let region = ValidRegion::build(&world, &drive(SLOPE, 31, 1.0), &config);
+    let expected = expected(&world, &region, &config);
+    // Cells in the interior of things were never reached from the road; whether they say blocked or unseen is the same: not free.
+    let differs = |i: &usize| (region.cells[*i] == Cell::Free) != (expected[*i] == Cell::Free);
+    let wrong: Vec<usize> = (0..expected.len()).filter(differs).collect();
+    assert!(
+        wrong.is_empty(),
+        "{} cells differ, first at {:?}\n{}\n{}",
+        wrong.len(),
+        region.centre(wrong[0]),
+        draw(&region, &region.cells),
+        draw(&region, &expected)
+    );
+    let free = region.free_cells().count();
+    assert!(free > 1000, "{free} free cells");
+    for cell in region.free_cells() {
+        let true_z = world.ground(region.centre(cell).x);
+        assert!((region.ground_m[cell] - true_z).abs() < 0.03);
+    }
+    for (x, y, state) in [
+        (20.0, 4.2, Cell::Blocked),
+        (24.0, -3.2, Cell::Blocked),
+        (15.0, 0.2, Cell::Free),
+        (25.2, -5.2, Cell::Unseen),
+        (20.0, 5.5, Cell::Unseen),
+    ] {
+        assert_eq!(region.cell_at(DVec2::new(x, y)), state, "at {x}, {y}");
+    }
+}
+
+#[test]
+fn free_space_nobody_saw_is_not_free() {
+    // Without the wall's shadow the same place is free; with the drive cut short it is unseen.
+    let mut open = street();
+    open.boxes.remove(0);
+    let at = DVec2::new(20.0, 5.5);
+    let full = ValidRegion::build(&open, &drive(SLOPE, 31, 1.0), &config());
+    assert_eq!(full.cell_at(at), Cell::Free);
+    let far = RegionConfig {
+        view_range_m: 12.0,
+        ..config()
+    };
+    let short = ValidRegion::build(&open, &drive(SLOPE, 2, 1.0), &far);
+    assert_eq!(short.cell_at(at), Cell::Unseen);
+}
+
+#[test]
+fn pavements_are_not_road() {
+    let mut world = street();
+    world.boxes = vec![(DVec3::new(-2.0, 3.0, -0.4), DVec3::new(60.0, 10.0, 0.14))];
+    let region = ValidRegion::build(&world, &drive(SLOPE, 31, 1.0), &config());
+    assert_eq!(region.cell_at(DVec2::new(15.0, 2.2)), Cell::Free);
+    assert_ne!(region.cell_at(DVec2::new(15.0, 4.2)), Cell::Free);
+    assert_ne!(region.cell_at(DVec2::new(15.0, 3.2)), Cell::Free);
+}
+
+#[test]
+fn the_papers_thresholds_let_thin_haze_pass_and_judge_whole_pillars() {
+    let region = ValidRegion::build(
+        &street(),
+        &drive(SLOPE, 31, 1.0),
+        &RegionConfig {
+            max_views: usize::MAX,
+            ..RegionConfig::paper(0.25)
+        },
+    );
+    // The box's density of 100/m is under 30 / 0.25 m.
+    assert_ne!(region.cell_at(DVec2::new(24.0, -3.2)), Cell::Free);
+    let strict = ValidRegion::build(
+        &street(),
+        &drive(SLOPE, 31, 1.0),
+        &RegionConfig {
+            max_views: usize::MAX,
+            ..RegionConfig::paper(0.5)
+        },
+    );
+    let pillar = DVec2::new(24.0, -2.7);
+    assert_eq!(
+        strict.cell_at(pillar),
+        Cell::Blocked,
+        "shares a pillar with the car"
+    );
+}
+
+#[test]
+fn nothing_recorded_or_no_road_gives_nothing_free() {
+    let empty = ValidRegion::build(&street(), &Default::default(), &config());
+    assert_eq!(empty.free_cells().count(), 0);
+    let void = BoxWorld {
+        half_width: -1.0,
+        boxes: Vec::new(),
+        ..street()
+    };
+    let region = ValidRegion::build(&void, &drive(SLOPE, 5, 1.0), &config());
+    assert_eq!(region.free_cells().count(), 0);
+}
