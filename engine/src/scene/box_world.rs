@@ -3,8 +3,9 @@
 use glam::{DVec2, DVec3};
 
 use super::density::DensityField;
-use super::recording::{RecordedCamera, RecordedFrame, Recording};
+use super::recording::{RecordedCamera, RecordedFrame, RecordedTrack, Recording};
 use crate::camera::{Camera, Distortion, Rigid};
+use crate::class::ObjectClass;
 
 pub(super) const SOLID_SIGMA: f64 = 100.0;
 
@@ -113,5 +114,21 @@ pub(super) fn drive(slope: f64, count: u32, spacing_m: f64) -> Recording {
         frames: frames.collect(),
         tracks: Vec::new(),
         sun_direction_local: None,
+    }
+}
+
+/// A car with a track in every frame at `centre`, level; `moving` only as a flag.
+pub(super) fn street_car(
+    recording: &Recording,
+    track_id: &str,
+    centre: DVec3,
+    moving: bool,
+) -> RecordedTrack {
+    RecordedTrack {
+        track_id: track_id.into(),
+        class: ObjectClass::Car,
+        size_m: DVec3::new(4.5, 2.0, 1.5),
+        moving,
+        local_from_cuboid: vec![Some(Rigid::from_heading(0.0, centre)); recording.frames.len()],
     }
 }

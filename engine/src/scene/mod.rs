@@ -35,6 +35,8 @@ mod lidar;
 #[cfg(test)]
 mod box_world;
 #[cfg(test)]
+mod composition_tests;
+#[cfg(test)]
 mod region_tests;
 
 pub use collision::{Occupied, intersection_area_m2};
