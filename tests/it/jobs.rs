@@ -11,7 +11,9 @@ const LOG: &str = "driveLogs/street";
 async fn server_with_log(folder: &std::path::Path) -> (Server, Connection) {
     let server = Server::start(&folder.join("data")).await;
     let connection = server.connect().await;
-    upload::upload_log(&connection, &logs::tiny(3), LOG, &|_| {}).await.unwrap();
+    upload::upload_log(&connection, &logs::tiny(3), LOG, &|_| {})
+        .await
+        .unwrap();
     (server, connection)
 }
 
@@ -31,10 +33,17 @@ fn background(request_id: &str) -> v1::CreateJobRequest {
 async fn a_running_job_is_watched_and_cancelled() {
     let folder = tempfile::tempdir().unwrap();
     let (_server, connection) = server_with_log(folder.path()).await;
-    let job = watch::create_job(&connection, background("")).await.unwrap();
+    let job = watch::create_job(&connection, background(""))
+        .await
+        .unwrap();
     let name = job.name.clone();
     let request = v1::WatchJobRequest { name: name.clone() };
-    let mut stream = connection.jobs().watch_job(request).await.unwrap().into_inner();
+    let mut stream = connection
+        .jobs()
+        .watch_job(request)
+        .await
+        .unwrap()
+        .into_inner();
     let mut states = Vec::new();
     let mut asked = false;
     while let Some(message) = stream.message().await.unwrap() {
@@ -44,15 +53,30 @@ async fn a_running_job_is_watched_and_cancelled() {
         }
         let stepping = job.progress.is_some_and(|progress| progress.step > 0);
         if job.state == v1::JobState::Running as i32 && stepping && !asked {
-            connection.jobs().cancel_job(v1::CancelJobRequest { name: name.clone() }).await.unwrap();
+            connection
+                .jobs()
+                .cancel_job(v1::CancelJobRequest { name: name.clone() })
+                .await
+                .unwrap();
             asked = true;
         }
     }
     assert_eq!(states.last(), Some(&v1::JobState::Cancelled), "{states:?}");
     assert!(states.contains(&v1::JobState::Running), "{states:?}");
-    let again = connection.jobs().cancel_job(v1::CancelJobRequest { name: name.clone() }).await.unwrap_err();
+    let again = connection
+        .jobs()
+        .cancel_job(v1::CancelJobRequest { name: name.clone() })
+        .await
+        .unwrap_err();
     assert_eq!(again.code(), Code::FailedPrecondition, "{again}");
-    let job = connection.jobs().get_job(v1::GetJobRequest { name }).await.unwrap().into_inner().job.unwrap();
+    let job = connection
+        .jobs()
+        .get_job(v1::GetJobRequest { name })
+        .await
+        .unwrap()
+        .into_inner()
+        .job
+        .unwrap();
     assert!(job.assets.is_empty() && job.end_time.is_some(), "{job:?}");
 }
 
@@ -60,31 +84,60 @@ async fn a_running_job_is_watched_and_cancelled() {
 async fn a_request_id_makes_creation_idempotent() {
     let folder = tempfile::tempdir().unwrap();
     let (_server, connection) = server_with_log(folder.path()).await;
-    let first = watch::create_job(&connection, background("once")).await.unwrap();
-    let second = watch::create_job(&connection, background("once")).await.unwrap();
+    let first = watch::create_job(&connection, background("once"))
+        .await
+        .unwrap();
+    let second = watch::create_job(&connection, background("once"))
+        .await
+        .unwrap();
     assert_eq!(first.name, second.name);
-    let other = v1::CreateJobRequest { seed: 6, ..background("once") };
+    let other = v1::CreateJobRequest {
+        seed: 6,
+        ..background("once")
+    };
     let refused = connection.jobs().create_job(other).await.unwrap_err();
     assert_eq!(refused.code(), Code::AlreadyExists, "{refused}");
-    connection.jobs().cancel_job(v1::CancelJobRequest { name: first.name }).await.unwrap();
+    connection
+        .jobs()
+        .cancel_job(v1::CancelJobRequest { name: first.name })
+        .await
+        .unwrap();
 }
 
 #[tokio::test]
 async fn a_watched_cancelled_job_fails_the_command_line() {
     let folder = tempfile::tempdir().unwrap();
     let (server, connection) = server_with_log(folder.path()).await;
-    let arguments = ["jobs", "submit", "background", "--log", "street", "--budget", "paper", "--watch"];
+    let arguments = [
+        "jobs",
+        "submit",
+        "background",
+        "--log",
+        "street",
+        "--budget",
+        "paper",
+        "--watch",
+    ];
     let mut command = backlot(&server.url(), &arguments);
     let watching = tokio::task::spawn_blocking(move || finish(&mut command));
     let job = loop {
-        let jobs = backlot_client::listing::jobs(&connection, LOG).await.unwrap();
+        let jobs = backlot_client::listing::jobs(&connection, LOG)
+            .await
+            .unwrap();
         if let Some(job) = jobs.into_iter().next() {
             break job;
         }
         tokio::time::sleep(std::time::Duration::from_millis(20)).await;
     };
-    connection.jobs().cancel_job(v1::CancelJobRequest { name: job.name }).await.unwrap();
+    connection
+        .jobs()
+        .cancel_job(v1::CancelJobRequest { name: job.name })
+        .await
+        .unwrap();
     let finished = watching.await.unwrap();
     assert!(finished.code.is_some_and(|code| code != 0), "{finished:?}");
-    assert!(finished.stderr.to_lowercase().contains("cancel"), "{finished:?}");
+    assert!(
+        finished.stderr.to_lowercase().contains("cancel"),
+        "{finished:?}"
+    );
 }

@@ -9,20 +9,30 @@ use std::time::{Duration, SystemTime};
 
 use backlot_client::read_log::{BlobSource, ReadLog};
 use backlot_client::{Connection, download, listing, watch};
-use backlot_e2e::server::{Server, free_port};
 use backlot_e2e::logs;
+use backlot_e2e::server::{Server, free_port};
 use backlot_proto::v1;
 use bytes::Bytes;
 
 #[tokio::test]
 async fn six_kills_lose_nothing_acknowledged() {
-    Campaign::run(Kills { upload: 3, training: 2, publish: 1 }).await;
+    Campaign::run(Kills {
+        upload: 3,
+        training: 2,
+        publish: 1,
+    })
+    .await;
 }
 
 #[tokio::test]
 #[ignore = "takes several minutes; the normal run has the short form"]
 async fn twenty_kills_lose_nothing_acknowledged() {
-    Campaign::run(Kills { upload: 9, training: 7, publish: 4 }).await;
+    Campaign::run(Kills {
+        upload: 9,
+        training: 7,
+        publish: 4,
+    })
+    .await;
 }
 
 /// How often to kill in each phase.
@@ -45,6 +55,7 @@ struct Acknowledged {
 struct Campaign {
     data: PathBuf,
     port: u16,
+    seed: u64,
     draws: Draws,
     acknowledged: Acknowledged,
     /// Kills that really hit a server in the phase.
@@ -57,20 +68,38 @@ impl Campaign {
         println!("BACKLOT_KILL_SEED={seed}");
         let folder = tempfile::tempdir().expect("a temporary folder can be made");
         let data = folder.path().join("data");
-        let mut campaign =
-            Self { data, port: free_port(), draws: Draws(seed), acknowledged: Acknowledged::default(), hits: BTreeMap::new() };
+        let mut campaign = Self {
+            data,
+            port: free_port(),
+            seed,
+            draws: Draws(seed),
+            acknowledged: Acknowledged::default(),
+            hits: BTreeMap::new(),
+        };
         for round in 0..kills.upload {
             campaign.kill_during_upload(round).await;
         }
         for round in 0..kills.training {
-            campaign.kill_during_job("training", round, |job| stage(job) == "train").await;
+            campaign
+                .kill_during_job("training", round, |job| stage(job) == "train")
+                .await;
         }
         for round in 0..kills.publish {
-            campaign.kill_during_job("publish", round, |job| stage(job) == "publish").await;
+            campaign
+                .kill_during_job("publish", round, |job| stage(job) == "publish")
+                .await;
         }
         println!("seed {seed}: kills by phase {:?}", campaign.hits);
-        let wanted = [("publish", kills.publish), ("training", kills.training), ("upload", kills.upload)];
-        assert_eq!(campaign.hits, BTreeMap::from(wanted), "seed {seed}: a kill did not hit its phase");
+        let wanted = [
+            ("publish", kills.publish),
+            ("training", kills.training),
+            ("upload", kills.upload),
+        ];
+        assert_eq!(
+            campaign.hits,
+            BTreeMap::from(wanted),
+            "seed {seed}: a kill did not hit its phase"
+        );
         campaign.finish_every_job().await;
     }
 
@@ -78,7 +107,7 @@ impl Campaign {
     async fn start(&self) -> (Server, Connection) {
         let server = Server::start_on(&self.data, self.port, &[]).await;
         let connection = server.connect().await;
-        self.acknowledged.check(&connection, self.draws.0).await;
+        self.acknowledged.check(&connection, self.seed).await;
         (server, connection)
     }
 
@@ -106,7 +135,10 @@ impl Campaign {
                 *self.hits.entry("upload").or_default() += 1;
                 break;
             }
-            assert!(write_blob(&connection, digest, source).await, "a running server takes blobs");
+            assert!(
+                write_blob(&connection, digest, source).await,
+                "a running server takes blobs"
+            );
             self.acknowledged.blobs.insert(digest.clone());
             acknowledgements += 1;
         }
@@ -118,11 +150,18 @@ impl Campaign {
         let uploaded = backlot_client::upload::upload_log(connection, log, name, &|_| {}).await;
         let uploaded = uploaded.expect("an upload can be completed after a kill");
         self.acknowledged.blobs.extend(log.blobs.keys().cloned());
-        self.acknowledged.logs.insert(name.to_owned(), uploaded.drive_log);
+        self.acknowledged
+            .logs
+            .insert(name.to_owned(), uploaded.drive_log);
     }
 
     /// Runs a job and kills the server once the job is in the phase.
-    async fn kill_during_job(&mut self, phase: &'static str, round: u32, in_phase: impl Fn(&v1::Job) -> bool) {
+    async fn kill_during_job(
+        &mut self,
+        phase: &'static str,
+        round: u32,
+        in_phase: impl Fn(&v1::Job) -> bool,
+    ) {
         let (server, connection) = self.start().await;
         let request = v1::CreateJobRequest {
             kind: v1::JobKind::Background.into(),
@@ -131,19 +170,30 @@ impl Campaign {
             seed: u64::from(round),
             ..Default::default()
         };
-        let job = watch::create_job(&connection, request).await.expect("a running server takes jobs");
+        let job = watch::create_job(&connection, request)
+            .await
+            .expect("a running server takes jobs");
         self.acknowledged.jobs.insert(job.name.clone());
         let mut stream = connection
             .jobs()
-            .watch_job(v1::WatchJobRequest { name: job.name.clone() })
+            .watch_job(v1::WatchJobRequest {
+                name: job.name.clone(),
+            })
             .await
             .expect("a job can be watched")
             .into_inner();
         // Publishing is short, training is not.
-        let pause = if phase == "publish" { self.draws.below(30) } else { self.draws.below(1500) };
+        let pause = if phase == "publish" {
+            self.draws.below(30)
+        } else {
+            self.draws.below(1500)
+        };
         while let Ok(Some(message)) = stream.message().await {
             let job = message.job.expect("a message holds a job");
-            assert!(!watch::is_finished(&job), "{phase}: the job ended before it was in the phase: {job:?}");
+            assert!(
+                !watch::is_finished(&job),
+                "{phase}: the job ended before it was in the phase: {job:?}"
+            );
             if in_phase(&job) {
                 tokio::time::sleep(Duration::from_millis(pause)).await;
                 server.kill();
@@ -158,45 +208,84 @@ impl Campaign {
     async fn finish_every_job(&mut self) {
         let (_server, connection) = self.start().await;
         for name in self.acknowledged.jobs.clone() {
-            let job = watch::watch_job(&connection, &name, |_| {}).await.expect("a job can be watched to its end");
+            let job = watch::watch_job(&connection, &name, |_| {})
+                .await
+                .expect("a job can be watched to its end");
             assert_eq!(job.state(), v1::JobState::Succeeded, "{job:?}");
-            assert_eq!(job.assets.len(), 1, "one asset a job, however often it was begun: {job:?}");
+            assert_eq!(
+                job.assets.len(),
+                1,
+                "one asset a job, however often it was begun: {job:?}"
+            );
         }
-        for asset in listing::assets(&connection, v1::AssetKind::Unspecified, "").await.expect("assets are listed") {
-            self.acknowledged.assets.insert(asset.name, asset.payload.expect("assets have payloads"));
+        for asset in listing::assets(&connection, v1::AssetKind::Unspecified, "")
+            .await
+            .expect("assets are listed")
+        {
+            self.acknowledged
+                .assets
+                .insert(asset.name, asset.payload.expect("assets have payloads"));
         }
-        assert_eq!(self.acknowledged.assets.len(), self.acknowledged.jobs.len(), "one asset a job");
-        self.acknowledged.check(&connection, self.draws.0).await;
+        assert_eq!(
+            self.acknowledged.assets.len(),
+            self.acknowledged.jobs.len(),
+            "one asset a job"
+        );
+        self.acknowledged.check(&connection, self.seed).await;
     }
 }
 
 impl Acknowledged {
     async fn check(&self, connection: &Connection, seed: u64) {
         let digests = self.blobs.iter().cloned().collect();
-        let missing = connection.blobs().find_missing_blobs(v1::FindMissingBlobsRequest { digests }).await;
-        let missing = missing.expect("the server answers").into_inner().missing_digests;
-        assert!(missing.is_empty(), "seed {seed}: {} acknowledged blobs are lost: {missing:?}", missing.len());
+        let missing = connection
+            .blobs()
+            .find_missing_blobs(v1::FindMissingBlobsRequest { digests })
+            .await;
+        let missing = missing
+            .expect("the server answers")
+            .into_inner()
+            .missing_digests;
+        assert!(
+            missing.is_empty(),
+            "seed {seed}: {} acknowledged blobs are lost: {missing:?}",
+            missing.len()
+        );
         for (name, expected) in &self.logs {
             let request = v1::GetDriveLogRequest { name: name.clone() };
             let reply = connection.drive_logs().get_drive_log(request).await;
-            let found = reply.unwrap_or_else(|status| panic!("seed {seed}: {name} is lost: {status}")).into_inner().drive_log;
-            assert_eq!(found.as_ref(), Some(expected), "seed {seed}: {name} changed");
+            let found = reply
+                .unwrap_or_else(|status| panic!("seed {seed}: {name} is lost: {status}"))
+                .into_inner()
+                .drive_log;
+            assert_eq!(
+                found.as_ref(),
+                Some(expected),
+                "seed {seed}: {name} changed"
+            );
         }
         for name in &self.jobs {
-            let reply = connection.jobs().get_job(v1::GetJobRequest { name: name.clone() }).await;
+            let reply = connection
+                .jobs()
+                .get_job(v1::GetJobRequest { name: name.clone() })
+                .await;
             assert!(reply.is_ok(), "seed {seed}: {name} is lost: {reply:?}");
         }
         let folder = tempfile::tempdir().expect("a temporary folder can be made");
         for (name, payload) in &self.assets {
             let path = folder.path().join("payload");
             let read = download::download_blob(connection, payload, &path).await;
-            read.unwrap_or_else(|error| panic!("seed {seed}: the payload of {name} is lost: {error}"));
+            read.unwrap_or_else(|error| {
+                panic!("seed {seed}: the payload of {name} is lost: {error}")
+            });
         }
     }
 }
 
 fn stage(job: &v1::Job) -> &str {
-    job.progress.as_ref().map_or("", |progress| progress.stage.as_str())
+    job.progress
+        .as_ref()
+        .map_or("", |progress| progress.stage.as_str())
 }
 
 /// Writes a blob in small chunks; false if the connection broke before the acknowledgement.
@@ -205,27 +294,44 @@ async fn write_blob(connection: &Connection, digest: &str, source: &BlobSource) 
         BlobSource::Memory(content) => content.clone(),
         BlobSource::File(path) => read(path),
     };
-    let blob = v1::BlobRef { digest: digest.to_owned(), size_bytes: content.len() as u64 };
+    let blob = v1::BlobRef {
+        digest: digest.to_owned(),
+        size_bytes: content.len() as u64,
+    };
     let messages: Vec<_> = (0..content.len())
         .step_by(4096)
         .map(|offset| {
             let chunk = content.slice(offset..content.len().min(offset + 4096));
             let chunk_crc32c = crc32c::crc32c(&chunk);
-            v1::WriteBlobRequest { blob: (offset == 0).then(|| blob.clone()), offset: offset as u64, chunk, chunk_crc32c }
+            v1::WriteBlobRequest {
+                blob: (offset == 0).then(|| blob.clone()),
+                offset: offset as u64,
+                chunk,
+                chunk_crc32c,
+            }
         })
         .collect();
-    let reply = connection.blobs().write_blob(futures::stream::iter(messages)).await;
+    let reply = connection
+        .blobs()
+        .write_blob(futures::stream::iter(messages))
+        .await;
     reply.is_ok_and(|reply| reply.into_inner().committed_bytes == content.len() as u64)
 }
 
 fn read(path: &Path) -> Bytes {
-    std::fs::read(path).expect("the blob's file is readable").into()
+    std::fs::read(path)
+        .expect("the blob's file is readable")
+        .into()
 }
 
 /// Chosen by the clock, and printed, so that runs differ and can be repeated.
 fn kill_seed() -> u64 {
-    let chosen = std::env::var("BACKLOT_KILL_SEED").ok().map(|seed| seed.parse().expect("BACKLOT_KILL_SEED is a number"));
-    let clock = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).expect("the clock is past 1970");
+    let chosen = std::env::var("BACKLOT_KILL_SEED")
+        .ok()
+        .map(|seed| seed.parse().expect("BACKLOT_KILL_SEED is a number"));
+    let clock = SystemTime::now()
+        .duration_since(SystemTime::UNIX_EPOCH)
+        .expect("the clock is past 1970");
     chosen.unwrap_or_else(|| u64::from(clock.subsec_nanos()))
 }
 

@@ -22,7 +22,12 @@ pub fn backlotd() -> Command {
 /// A command that runs the client with `arguments` against `server_url`, without the caller's environment of it.
 pub fn backlot(server_url: &str, arguments: &[&str]) -> Command {
     let mut command = Command::new(program("backlot"));
-    command.arg("--server").arg(server_url).args(arguments).env_remove("BACKLOT_SERVER").stdin(Stdio::null());
+    command
+        .arg("--server")
+        .arg(server_url)
+        .args(arguments)
+        .env_remove("BACKLOT_SERVER")
+        .stdin(Stdio::null());
     command
 }
 
@@ -31,7 +36,11 @@ pub fn backlot(server_url: &str, arguments: &[&str]) -> Command {
 /// # Panics
 /// If the program cannot be started.
 pub fn finish(command: &mut Command) -> Finished {
-    let Output { status, stdout, stderr } = command.output().expect("the program starts");
+    let Output {
+        status,
+        stdout,
+        stderr,
+    } = command.output().expect("the program starts");
     Finished {
         code: status.code(),
         stdout: String::from_utf8_lossy(&stdout).into_owned(),
@@ -43,7 +52,13 @@ impl Finished {
     /// # Panics
     /// If the program did not succeed; shows what it said.
     pub fn succeeded(self) -> Self {
-        assert_eq!(self.code, Some(0), "stdout:\n{}\nstderr:\n{}", self.stdout, self.stderr);
+        assert_eq!(
+            self.code,
+            Some(0),
+            "stdout:\n{}\nstderr:\n{}",
+            self.stdout,
+            self.stderr
+        );
         self
     }
 }
@@ -53,11 +68,16 @@ impl Finished {
 fn program(name: &str) -> PathBuf {
     static FRESH: OnceLock<()> = OnceLock::new();
     let test = std::env::current_exe().expect("a running test has a path");
-    let folder = test.parent().and_then(Path::parent).expect("tests lie in target/<profile>/deps");
+    let folder = test
+        .parent()
+        .and_then(Path::parent)
+        .expect("tests lie in target/<profile>/deps");
     let path = |name: &str| folder.join(format!("{name}{}", std::env::consts::EXE_SUFFIX));
     FRESH.get_or_init(|| {
         let built = ["backlot", "backlotd"].map(|name| modified(&path(name)));
-        let stale = built.iter().any(|built| built.is_none_or(|built| built < newest_source()));
+        let stale = built
+            .iter()
+            .any(|built| built.is_none_or(|built| built < newest_source()));
         if stale {
             build(folder);
         }
@@ -67,25 +87,51 @@ fn program(name: &str) -> PathBuf {
 
 fn build(folder: &Path) {
     let mut cargo = Command::new(std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into()));
-    cargo.current_dir(workspace()).args(["build", "--quiet", "-p", "backlot-server", "-p", "backlot-client", "--bins"]);
-    cargo.env("CARGO_TARGET_DIR", folder.parent().expect("a profile lies in the target folder"));
+    cargo.current_dir(workspace()).args([
+        "build",
+        "--quiet",
+        "-p",
+        "backlot-server",
+        "-p",
+        "backlot-client",
+        "--bins",
+    ]);
+    cargo.env(
+        "CARGO_TARGET_DIR",
+        folder
+            .parent()
+            .expect("a profile lies in the target folder"),
+    );
     if folder.ends_with("release") {
         cargo.arg("--release");
     }
-    assert!(cargo.status().expect("cargo starts").success(), "the programs do not build");
+    assert!(
+        cargo.status().expect("cargo starts").success(),
+        "the programs do not build"
+    );
 }
 
 /// Root of the workspace.
 pub fn workspace() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("the crate lies in the workspace").to_owned()
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+        .parent()
+        .expect("the crate lies in the workspace")
+        .to_owned()
 }
 
 /// Time of the last change to what the programs are made of.
 fn newest_source() -> SystemTime {
-    let mut folders: Vec<PathBuf> =
-        ["proto", "shaders/src", "shaders/wgsl", "engine/src", "migrations/src", "server/src", "client/src"]
-            .map(|folder| workspace().join(folder))
-            .into();
+    let mut folders: Vec<PathBuf> = [
+        "proto",
+        "shaders/src",
+        "shaders/wgsl",
+        "engine/src",
+        "migrations/src",
+        "server/src",
+        "client/src",
+    ]
+    .map(|folder| workspace().join(folder))
+    .into();
     let mut newest = SystemTime::UNIX_EPOCH;
     while let Some(folder) = folders.pop() {
         for entry in std::fs::read_dir(&folder).into_iter().flatten().flatten() {
@@ -101,5 +147,7 @@ fn newest_source() -> SystemTime {
 }
 
 fn modified(path: &Path) -> Option<SystemTime> {
-    std::fs::metadata(path).and_then(|found| found.modified()).ok()
+    std::fs::metadata(path)
+        .and_then(|found| found.modified())
+        .ok()
 }

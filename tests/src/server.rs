@@ -34,7 +34,11 @@ impl Server {
     /// As [`Self::start`], on a given port and with further arguments.
     pub async fn start_on(data_dir: &Path, port: u16, arguments: &[&str]) -> Self {
         let log = log_path(data_dir);
-        let mut server = Self { process: spawn(data_dir, port, arguments, &log), port, log };
+        let mut server = Self {
+            process: spawn(data_dir, port, arguments, &log),
+            port,
+            log,
+        };
         server.wait_until_it_answers().await;
         server
     }
@@ -43,14 +47,20 @@ impl Server {
         let begun = Instant::now();
         loop {
             if let Ok(connection) = Connection::open(&self.url()).await
-                && backlot_client::listing::drive_logs(&connection).await.is_ok()
+                && backlot_client::listing::drive_logs(&connection)
+                    .await
+                    .is_ok()
             {
                 return;
             }
             if let Some(status) = self.process.try_wait().expect("the process can be asked") {
                 panic!("backlotd ended with {status}:\n{}", self.log_text());
             }
-            assert!(begun.elapsed() < START_LIMIT, "backlotd does not answer:\n{}", self.log_text());
+            assert!(
+                begun.elapsed() < START_LIMIT,
+                "backlotd does not answer:\n{}",
+                self.log_text()
+            );
             tokio::time::sleep(POLL).await;
         }
     }
@@ -67,7 +77,9 @@ impl Server {
     /// # Panics
     /// If the server does not take connections.
     pub async fn connect(&self) -> Connection {
-        Connection::open(&self.url()).await.expect("the server takes connections")
+        Connection::open(&self.url())
+            .await
+            .expect("the server takes connections")
     }
 
     /// Whether the process is still there.
@@ -126,14 +138,26 @@ pub fn refused_start(data_dir: &Path) -> (ExitStatus, String) {
 /// A port that was free a moment ago. Fixed rather than chosen by the server, so that clients find it again after a restart.
 pub fn free_port() -> u16 {
     let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).expect("a loopback port is free");
-    listener.local_addr().expect("a bound socket has an address").port()
+    listener
+        .local_addr()
+        .expect("a bound socket has an address")
+        .port()
 }
 
 fn spawn(data_dir: &Path, port: u16, arguments: &[&str], log: &Path) -> Child {
-    let out = File::options().create(true).append(true).open(log).expect("the log can be written");
+    let out = File::options()
+        .create(true)
+        .append(true)
+        .open(log)
+        .expect("the log can be written");
     let error = out.try_clone().expect("a file can be shared");
     let mut command: Command = backlotd();
-    command.arg("--data-dir").arg(data_dir).arg("--listen").arg(format!("127.0.0.1:{port}")).args(arguments);
+    command
+        .arg("--data-dir")
+        .arg(data_dir)
+        .arg("--listen")
+        .arg(format!("127.0.0.1:{port}"))
+        .args(arguments);
     command.stdin(Stdio::null()).stdout(out).stderr(error);
     command.spawn().expect("backlotd starts")
 }

@@ -19,9 +19,15 @@ impl Library {
     /// If the server does not answer.
     pub async fn of(connection: &Connection) -> Self {
         Self {
-            drive_logs: listing::drive_logs(connection).await.expect("drive logs are listed"),
-            jobs: listing::jobs(connection, "").await.expect("jobs are listed"),
-            assets: listing::assets(connection, v1::AssetKind::Unspecified, "").await.expect("assets are listed"),
+            drive_logs: listing::drive_logs(connection)
+                .await
+                .expect("drive logs are listed"),
+            jobs: listing::jobs(connection, "")
+                .await
+                .expect("jobs are listed"),
+            assets: listing::assets(connection, v1::AssetKind::Unspecified, "")
+                .await
+                .expect("assets are listed"),
         }
     }
 }
@@ -41,7 +47,11 @@ pub fn files(folder: &Path) -> BTreeMap<String, String> {
                 continue;
             }
             let content = std::fs::read(&path).expect("the file is readable");
-            let name = path.strip_prefix(folder).expect("it lies in the folder").to_string_lossy().into_owned();
+            let name = path
+                .strip_prefix(folder)
+                .expect("it lies in the folder")
+                .to_string_lossy()
+                .into_owned();
             found.insert(name, blake3::hash(&content).to_hex().to_string());
         }
     }

@@ -1,0 +1,46 @@
+//! The command line as the README shows it; also makes `cargo test` build the program for the end-to-end tests.
+
+use std::process::{Command, Output};
+
+fn backlot(arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_backlot"))
+        .args(arguments)
+        .output()
+        .expect("the program starts")
+}
+
+#[test]
+fn every_command_of_the_contract_explains_itself() {
+    let commands: [&[&str]; 11] = [
+        &["logs", "upload"],
+        &["logs", "list"],
+        &["logs", "show"],
+        &["jobs", "submit"],
+        &["jobs", "list"],
+        &["jobs", "watch"],
+        &["jobs", "cancel"],
+        &["assets", "list"],
+        &["assets", "show"],
+        &["assets", "export"],
+        &["assets", "delete"],
+    ];
+    for command in commands.into_iter().chain([&["augment"][..], &["demo"]]) {
+        let help = backlot(&[command, &["--help"]].concat());
+        assert!(help.status.success(), "{command:?}: {help:?}");
+        assert!(
+            String::from_utf8_lossy(&help.stdout).contains("Usage"),
+            "{command:?}: {help:?}"
+        );
+    }
+}
+
+#[test]
+fn unknown_commands_and_options_fail() {
+    for arguments in [
+        &["paint"][..],
+        &["assets", "list", "--colour"],
+        &["augment", "--count", "many"],
+    ] {
+        assert_eq!(backlot(arguments).status.code(), Some(2), "{arguments:?}");
+    }
+}
