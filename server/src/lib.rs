@@ -5,6 +5,9 @@
 
 pub mod error;
 
+pub mod config;
+pub mod telemetry;
+
 pub mod domain;
 
 pub mod store;
@@ -14,3 +17,5 @@ pub mod ingest;
 pub mod jobs;
 
 pub mod api;
+
+pub mod server;

@@ -17,6 +17,8 @@ pub mod worker_port;
 
 mod local_port;
 
+pub mod execute;
+
 mod workers;
 #[cfg(test)]
 mod workers_tests;
