@@ -14,6 +14,10 @@ pub mod class;
 
 pub mod field;
 
+pub mod volume;
+
+pub mod backend;
+
 pub mod train;
 
 pub mod quality;

@@ -25,6 +25,16 @@ pub struct Corners {
     pub weights: [f32; 8],
 }
 
+/// A level's values, borrowed for change. The first 512 of each array are the null brick's and must stay 0.
+#[derive(Debug)]
+pub struct Parameters<'a> {
+    pub voxel_m: f32,
+    pub origin_m: Vec3,
+    pub positions: &'a [[u16; 3]],
+    pub density: &'a mut [f32],
+    pub features: &'a mut [[f32; FEATURES]],
+}
+
 /// A brick-sparse lattice level.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Lattice {
@@ -43,10 +53,10 @@ impl Lattice {
     /// An empty level covering `size_m` from `origin_m` on. `None` if the brick index would be unreasonably large.
     pub fn new(voxel_m: f32, origin_m: Vec3, size_m: Vec3) -> Option<Self> {
         let brick_m = voxel_m * BRICK_SIDE as f32;
-        let span = (size_m / brick_m).ceil().max(Vec3::ONE);
-        let countable = span.is_finite() && span.max_element() < f32::from(u16::MAX);
+        let span = (size_m / brick_m).ceil();
+        let countable = size_m.is_finite() && span.is_finite() && span.max_element() < f32::from(u16::MAX);
         countable
-            .then(|| Self::with_bricks(voxel_m, origin_m, span.as_uvec3()))
+            .then(|| Self::with_bricks(voxel_m, origin_m, span.as_uvec3().max(UVec3::ONE)))
             .flatten()
     }
 
@@ -108,9 +118,15 @@ impl Lattice {
         &self.features
     }
 
-    /// Both parameter arrays for an optimiser. The first 512 entries are the null brick's and must stay 0.
-    pub fn parameters_mut(&mut self) -> (&mut [f32], &mut [[f32; FEATURES]]) {
-        (&mut self.density, &mut self.features)
+    /// The parameter arrays for an optimiser, with what is needed to place them.
+    pub fn parameters_mut(&mut self) -> Parameters<'_> {
+        Parameters {
+            voxel_m: self.voxel_m,
+            origin_m: self.origin_m,
+            positions: &self.positions,
+            density: &mut self.density,
+            features: &mut self.features,
+        }
     }
 
     /// Brick positions of all stored bricks; entry 0 is the null brick's and means nothing.

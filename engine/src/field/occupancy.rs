@@ -33,7 +33,7 @@ impl Occupancy {
         let span = (size_m / (cell_m * BLOCK_SIDE as f32))
             .ceil()
             .max(Vec3::ONE);
-        let countable = span.is_finite() && span.max_element() <= MAX_INDEX_BLOCKS;
+        let countable = size_m.is_finite() && span.is_finite() && span.max_element() <= MAX_INDEX_BLOCKS;
         countable
             .then(|| Self::with_blocks(cell_m, origin_m, span.as_uvec3()))
             .flatten()
@@ -113,7 +113,6 @@ impl Occupancy {
         // A ray inside the box can leave it by rounding; the nearest cell then answers.
         let cells = (self.blocks * BLOCK_SIDE).as_ivec3();
         let cell = q
-            .floor()
             .as_ivec3()
             .clamp(glam::IVec3::ZERO, cells - 1)
             .as_uvec3();

@@ -3,6 +3,7 @@
 mod control;
 mod input;
 mod preset;
+pub mod ray;
 
 pub use control::{NoControl, Progress, Stage, TrainControl};
 pub use input::{BackgroundInput, ObjectInput, Trained};

@@ -1,8 +1,19 @@
 //! The CPU backend: needs nothing installed, and is the oracle of the GPU's kernels.
 //!
 //! Marching is plain scalar code that the compiler neither reorders nor fuses, so its results are the same on every machine.
+//! Training and colours run vector code chosen at run time ([`Simd`]), with rayon over chunks of rays and over bricks.
 
+mod adam;
+mod chunk;
 mod march;
+mod matmul;
+pub(crate) mod mlp;
+mod scatter;
+mod simd;
+mod trainer;
+
+pub use simd::Simd;
+pub use trainer::CpuTrainer;
 
 use std::sync::Arc;
 

@@ -1,0 +1,118 @@
+//! One training step on the CPU.
+
+use rayon::prelude::*;
+
+use super::adam::{Adam, SkyOptimizer};
+use super::chunk::{Chunk, Setting};
+use super::mlp::MlpWeights;
+use super::scatter::LevelOptimizer;
+use super::simd::Simd;
+use crate::field::Field;
+use crate::train::ray::{Rates, RayLosses, StepSums, TrainRay};
+
+/// Rays handled together by one thread: their samples and activations fit the second-level cache.
+const RAYS_PER_CHUNK: usize = 64;
+
+/// A field with its optimiser state and all buffers of a step.
+#[derive(Debug)]
+pub struct CpuTrainer {
+    field: Field,
+    weights: MlpWeights,
+    levels: Vec<LevelOptimizer>,
+    mlp: Adam,
+    sky: SkyOptimizer,
+    mlp_gradients: Vec<f32>,
+    chunks: Vec<Chunk>,
+    sums: StepSums,
+    simd: Simd,
+}
+
+impl CpuTrainer {
+    pub fn new(field: Field, simd: Simd) -> Self {
+        Self {
+            weights: MlpWeights::new(&field.mlp),
+            levels: vec![LevelOptimizer::default(); field.levels.len()],
+            mlp: Adam::default(),
+            sky: SkyOptimizer::default(),
+            mlp_gradients: Vec::new(),
+            chunks: Vec::new(),
+            sums: StepSums::default(),
+            field,
+            simd,
+        }
+    }
+
+    pub fn field(&self) -> &Field {
+        &self.field
+    }
+
+    pub fn into_field(self) -> Field {
+        self.field
+    }
+
+    /// Changes the occupancy or adds bricks between steps. Removing bricks is [`Self::retain_bricks`].
+    pub fn field_mut(&mut self) -> &mut Field {
+        &mut self.field
+    }
+
+    /// Drops the bricks of a level for which `keep` does not hold, with their optimiser state.
+    pub fn retain_bricks(&mut self, level: usize, keep: impl Fn(u32) -> bool) {
+        self.levels[level].resize(self.field.levels[level].brick_count());
+        let old_of_new = self.field.levels[level].retain(keep);
+        self.levels[level].retain(&old_of_new);
+    }
+
+    /// Takes one optimiser step on `rays` and returns its sums.
+    pub fn step(&mut self, rays: &[TrainRay], losses: &RayLosses, rates: Rates) -> &StepSums {
+        let count = rays.len().div_ceil(RAYS_PER_CHUNK);
+        self.chunks.resize_with(count, Chunk::default);
+        let setting = Setting {
+            field: &self.field,
+            mlp: &self.weights,
+            losses,
+            simd: self.simd,
+        };
+        let chunks = &mut self.chunks;
+        chunks
+            .par_iter_mut()
+            .zip(rays.par_chunks(RAYS_PER_CHUNK))
+            .for_each(|(chunk, rays)| chunk.run(setting, rays));
+        self.sums.clear();
+        self.chunks
+            .iter()
+            .for_each(|chunk| self.sums.add(&chunk.sums));
+        if self.sums.loss.is_finite() {
+            self.apply(rates);
+        }
+        &self.sums
+    }
+
+    fn apply(&mut self, rates: Rates) {
+        for (number, (level, optimizer)) in self
+            .field
+            .levels
+            .iter_mut()
+            .zip(&mut self.levels)
+            .enumerate()
+        {
+            optimizer.step(level, number, &self.chunks, rates, self.simd);
+        }
+        self.mlp_gradients.clear();
+        self.mlp_gradients
+            .resize(self.field.mlp.parameters().len(), 0.0);
+        for chunk in &self.chunks {
+            let sums = self.mlp_gradients.iter_mut();
+            sums.zip(&chunk.batch.parameter_gradients)
+                .for_each(|(s, g)| *s += g);
+        }
+        self.mlp.step(
+            self.field.mlp.parameters_mut(),
+            &self.mlp_gradients,
+            rates.mlp,
+        );
+        self.weights.update(&self.field.mlp);
+        if let Some(sky) = &mut self.field.sky {
+            self.sky.step(sky, &self.chunks, rates.sky);
+        }
+    }
+}
