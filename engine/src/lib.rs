@@ -26,8 +26,6 @@ pub mod asset;
 
 pub mod scene;
 
-pub mod backend;
-
 pub use asset::{Asset, AssetHeader};
 pub use class::ObjectClass;
 pub use error::{Error, ErrorKind, Result};

@@ -2,8 +2,10 @@
 
 mod coverage;
 mod image;
+mod render;
 mod report;
 
 pub use coverage::{AZIMUTH_SECTORS, ViewCoverage};
 pub use image::{psnr_db, ssim};
+pub use render::{RenderedRay, render_rays};
 pub use report::QualityReport;

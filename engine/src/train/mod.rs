@@ -1,10 +1,26 @@
 //! Fitting a field to posed images.
+//!
+//! [`train_background`] and [`train_object`] check their input, prepare a field (bricks and density where LiDAR returns lie),
+//! then loop: draw rays, take a step on the backend, now and then survey what is occupied and store finer bricks there.
 
+mod background;
 mod control;
+mod evaluate;
+mod fit;
+mod free_space;
 mod input;
+mod object;
 mod preset;
 pub mod ray;
+mod refine;
+mod sampler;
+mod seed;
+mod survey;
+mod validate;
 
+pub use background::train_background;
 pub use control::{NoControl, Progress, Stage, TrainControl};
 pub use input::{BackgroundInput, ObjectInput, Trained};
+pub use object::{padded_half_m, train_object};
 pub use preset::{Budget, TrainPreset};
+pub use sampler::RayMix;

@@ -1,5 +1,8 @@
 //! Training settings.
 
+use super::ray::{Rates, RayLosses};
+use super::sampler::RayMix;
+
 /// How much time a training run may take.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Budget {
@@ -14,33 +17,81 @@ pub enum Budget {
 pub struct TrainPreset {
     /// Voxel edge of each level in metres, coarse to fine.
     pub voxels_m: Vec<f32>,
+    /// The finest levels are stored only this near to the cameras' path in metres, coarse to fine; infinite is everywhere.
+    pub level_reach_m: Vec<f32>,
+    /// Backgrounds: how far the box reaches from the path, in metres.
+    pub box_reach_m: f64,
     /// Opacity of untouched space over one finest voxel.
     pub alpha_init: f64,
+    /// Density in 1/m put around LiDAR returns before the first step.
+    pub seed_sigma: f32,
     /// Hidden width of the colour network.
     pub mlp_width: usize,
+    /// Metres of step per metre of distance.
+    pub step_growth: f32,
     pub steps: u64,
-    pub rays_per_step: usize,
-    /// Ends training early, with the learning-rate schedule following the clock instead of the step; 0 is no limit.
+    /// Ends training early; the schedule then follows the clock instead of the step. 0 is no limit.
     pub seconds: f64,
     /// Bound on the memory of parameters and optimiser state.
     pub memory_bytes: u64,
+    /// Learning rates of the first step.
+    pub rates: Rates,
+    /// What is left of them at the last step.
+    pub rate_decay: f32,
+    pub mix: RayMix,
+    pub losses: RayLosses,
+    /// Fractions of the run at which occupancy is surveyed and finer bricks are stored where something is.
+    pub surveys: Vec<f64>,
+    /// Opacity over one finest voxel from which a cell counts as occupied.
+    pub survey_alpha: f32,
 }
 
 impl TrainPreset {
     pub fn background(budget: Budget) -> Self {
         let (steps, seconds) = match budget {
             Budget::Quick => (1_600, 110.0),
-            Budget::Standard => (6_000, 600.0),
+            Budget::Standard => (8_000, 600.0),
             Budget::Paper => (40_000, 0.0),
         };
         Self {
             voxels_m: vec![1.6, 0.4, 0.1],
-            alpha_init: 1e-3,
+            level_reach_m: vec![f32::INFINITY, f32::INFINITY, 30.0],
+            box_reach_m: 60.0,
+            alpha_init: 1e-4,
+            seed_sigma: 3.0,
             mlp_width: 64,
+            step_growth: 0.004,
             steps,
-            rays_per_step: 4_096,
             seconds,
             memory_bytes: 1 << 30,
+            rates: Rates {
+                density: 0.2,
+                features: 0.1,
+                mlp: 2e-3,
+                sky: 0.1,
+            },
+            rate_decay: 0.1,
+            mix: RayMix {
+                pixel_rays: 3_584,
+                depth_rays: 512,
+                color_weight: 1.0,
+                depth_weight: 0.02,
+                silhouette_weight: 0.0,
+                sky_weight: 0.01,
+                mirror_share: 0.0,
+                mirror_color: 0.0,
+                depth_margin_m: 2.0,
+            },
+            losses: RayLosses {
+                sample_color: 0.05,
+                entropy: 1e-3,
+                depth_scale_m: 0.1,
+                depth_cap_m: 2.0,
+                min_weight: 1e-3,
+                depth_trim_m: f32::INFINITY,
+            },
+            surveys: vec![0.1, 0.25, 0.5],
+            survey_alpha: 5e-3,
         }
     }
 
@@ -51,13 +102,44 @@ impl TrainPreset {
             Budget::Paper => (10_000, 0.0),
         };
         Self {
-            voxels_m: vec![0.4, 0.1, 0.05],
+            voxels_m: vec![0.2, 0.1, 0.05],
+            level_reach_m: vec![f32::INFINITY; 3],
+            box_reach_m: 0.0,
             alpha_init: 1e-3,
+            seed_sigma: 5.0,
             mlp_width: 64,
+            step_growth: 0.002,
             steps,
-            rays_per_step: 4_096,
             seconds,
-            memory_bytes: 256 << 20,
+            memory_bytes: 512 << 20,
+            rates: Rates {
+                density: 0.2,
+                features: 0.1,
+                mlp: 2e-3,
+                sky: 0.0,
+            },
+            rate_decay: 0.1,
+            mix: RayMix {
+                pixel_rays: 2_048,
+                depth_rays: 128,
+                color_weight: 1.0,
+                depth_weight: 0.02,
+                silhouette_weight: 0.01,
+                sky_weight: 0.0,
+                mirror_share: 0.0,
+                mirror_color: 0.25,
+                depth_margin_m: 0.5,
+            },
+            losses: RayLosses {
+                sample_color: 0.05,
+                entropy: 1e-3,
+                depth_scale_m: 0.05,
+                depth_cap_m: 1.0,
+                min_weight: 1e-3,
+                depth_trim_m: f32::INFINITY,
+            },
+            surveys: vec![0.15, 0.4, 0.7],
+            survey_alpha: 5e-3,
         }
     }
 }

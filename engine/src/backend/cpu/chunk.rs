@@ -4,7 +4,7 @@ use std::ops::Range;
 
 use glam::Vec3;
 
-use super::mlp::{MlpBatch, MlpWeights, PADDED_FEATURES};
+use super::mlp::{MlpBatch, PADDED_FEATURES, TransposedWeights};
 use super::simd::{Simd, dispatch};
 use crate::field::lattice::{BRICK_NODES, Corners, FEATURES, NULL_BRICK};
 use crate::field::mlp::MLP_OUTPUTS;
@@ -61,7 +61,7 @@ pub(super) struct Chunk {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Setting<'a> {
     pub(super) field: &'a Field,
-    pub(super) mlp: &'a MlpWeights,
+    pub(super) transposed: &'a TransposedWeights,
     pub(super) losses: &'a RayLosses,
     pub(super) simd: Simd,
 }
@@ -73,9 +73,9 @@ impl Chunk {
         march(setting.simd, self, setting.field, rays);
         self.composite(setting, rays);
         gather(setting.simd, self, setting.field);
-        self.batch.forward(setting.mlp, setting.simd);
+        self.batch.forward(&setting.field.mlp, setting.simd);
         self.differentiate(setting, rays);
-        self.batch.backward(setting.mlp, setting.simd);
+        self.batch.backward(setting.transposed, setting.simd);
         self.find_bricks(setting.field);
     }
 

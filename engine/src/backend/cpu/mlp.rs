@@ -13,11 +13,10 @@ use crate::field::view_encoding::VIEW_INPUTS;
 /// Features per sample, padded to whole vectors; the last four are 0.
 pub(crate) const PADDED_FEATURES: usize = 16;
 
-/// The weights with the transposed copies that the backward pass reads.
+/// Transposed copies of the weights, which the backward pass reads.
 #[derive(Clone, Debug)]
-pub(crate) struct MlpWeights {
+pub(super) struct TransposedWeights {
     layout: MlpLayout,
-    parameters: Vec<f32>,
     /// Rows of W1 that belong to features, transposed: `[width][16]`.
     w1_transposed: Vec<f32>,
     w2_transposed: Vec<f32>,
@@ -48,11 +47,10 @@ pub(crate) struct MlpBatch {
     gradient2: Vec<f32>,
 }
 
-impl MlpWeights {
-    pub(crate) fn new(mlp: &ColorMlp) -> Self {
+impl TransposedWeights {
+    pub(super) fn new(mlp: &ColorMlp) -> Self {
         let mut weights = Self {
             layout: mlp.layout(),
-            parameters: Vec::new(),
             w1_transposed: Vec::new(),
             w2_transposed: Vec::new(),
             w3_transposed: Vec::new(),
@@ -62,11 +60,8 @@ impl MlpWeights {
     }
 
     /// Copies changed parameters.
-    pub(crate) fn update(&mut self, mlp: &ColorMlp) {
-        let (width, layout) = (mlp.width(), mlp.layout());
-        self.parameters.clear();
-        self.parameters.extend_from_slice(mlp.parameters());
-        let p = &self.parameters;
+    pub(super) fn update(&mut self, mlp: &ColorMlp) {
+        let (width, layout, p) = (mlp.width(), mlp.layout(), mlp.parameters());
         let w1 = &p[layout.w1()][..FEATURES * width];
         transpose(w1, width, PADDED_FEATURES, &mut self.w1_transposed);
         transpose(&p[layout.w2()], width, width, &mut self.w2_transposed);
@@ -102,18 +97,18 @@ impl MlpBatch {
     }
 
     /// Computes `colors`.
-    pub(crate) fn forward(&mut self, weights: &MlpWeights, simd: Simd) {
-        forward(simd, weights, self);
+    pub(crate) fn forward(&mut self, mlp: &ColorMlp, simd: Simd) {
+        forward(simd, mlp, self);
     }
 
     /// From `color_gradients`, computes `feature_gradients` and adds to `parameter_gradients`. Needs the activations of [`Self::forward`].
-    pub(crate) fn backward(&mut self, weights: &MlpWeights, simd: Simd) {
+    pub(super) fn backward(&mut self, weights: &TransposedWeights, simd: Simd) {
         backward(simd, weights, self);
     }
 }
 
-dispatch!(fn forward => forward_generic(weights: &MlpWeights, batch: &mut MlpBatch));
-dispatch!(fn backward => backward_generic(weights: &MlpWeights, batch: &mut MlpBatch));
+dispatch!(fn forward => forward_generic(mlp: &ColorMlp, batch: &mut MlpBatch));
+dispatch!(fn backward => backward_generic(weights: &TransposedWeights, batch: &mut MlpBatch));
 
 fn resize(buffer: &mut Vec<f32>, len: usize) {
     buffer.clear();
@@ -122,10 +117,10 @@ fn resize(buffer: &mut Vec<f32>, len: usize) {
 
 #[inline(always)]
 fn forward_generic<const R: usize, const C: usize, const FMA: bool>(
-    weights: &MlpWeights,
+    mlp: &ColorMlp,
     batch: &mut MlpBatch,
 ) {
-    let (layout, p) = (weights.layout, &weights.parameters);
+    let (layout, p) = (mlp.layout(), mlp.parameters());
     let width = layout.width;
     let (samples, rays) = (batch.sample_count(), batch.ray_ends.len());
     let (w1_features, w1_views) = p[layout.w1()].split_at(FEATURES * width);
@@ -170,7 +165,7 @@ fn forward_generic<const R: usize, const C: usize, const FMA: bool>(
 
 #[inline(always)]
 fn backward_generic<const R: usize, const C: usize, const FMA: bool>(
-    weights: &MlpWeights,
+    weights: &TransposedWeights,
     batch: &mut MlpBatch,
 ) {
     let layout = weights.layout;

@@ -56,7 +56,7 @@ fn detect() -> Simd {
 macro_rules! dispatch {
     ($(#[$meta:meta])* $vis:vis fn $name:ident => $body:ident($($arg:ident: $ty:ty),* $(,)?)) => {
         $(#[$meta])*
-        $vis fn $name(simd: $crate::backend::cpu::simd::Simd, $($arg: $ty),*) {
+        $vis fn $name(simd: $crate::backend::cpu::Simd, $($arg: $ty),*) {
             #[cfg(target_arch = "x86_64")]
             #[target_feature(enable = "avx512f,avx512vl,avx512dq,avx512bw,avx2,fma")]
             fn avx512($($arg: $ty),*) {
@@ -70,10 +70,10 @@ macro_rules! dispatch {
             match simd {
                 // SAFETY: `Simd::detect` names a path only where the machine has its features.
                 #[cfg(target_arch = "x86_64")]
-                $crate::backend::cpu::simd::Simd::Avx512 => unsafe { avx512($($arg),*) },
+                $crate::backend::cpu::Simd::Avx512 => unsafe { avx512($($arg),*) },
                 // SAFETY: as above.
                 #[cfg(target_arch = "x86_64")]
-                $crate::backend::cpu::simd::Simd::Avx2 => unsafe { avx2($($arg),*) },
+                $crate::backend::cpu::Simd::Avx2 => unsafe { avx2($($arg),*) },
                 _ => $body::<4, 8, false>($($arg),*),
             }
         }

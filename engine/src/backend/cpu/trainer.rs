@@ -4,7 +4,7 @@ use rayon::prelude::*;
 
 use super::adam::{Adam, SkyOptimizer};
 use super::chunk::{Chunk, Setting};
-use super::mlp::MlpWeights;
+use super::mlp::TransposedWeights;
 use super::scatter::LevelOptimizer;
 use super::simd::Simd;
 use crate::field::Field;
@@ -17,7 +17,7 @@ const RAYS_PER_CHUNK: usize = 64;
 #[derive(Debug)]
 pub struct CpuTrainer {
     field: Field,
-    weights: MlpWeights,
+    transposed: TransposedWeights,
     levels: Vec<LevelOptimizer>,
     mlp: Adam,
     sky: SkyOptimizer,
@@ -30,7 +30,7 @@ pub struct CpuTrainer {
 impl CpuTrainer {
     pub fn new(field: Field, simd: Simd) -> Self {
         Self {
-            weights: MlpWeights::new(&field.mlp),
+            transposed: TransposedWeights::new(&field.mlp),
             levels: vec![LevelOptimizer::default(); field.levels.len()],
             mlp: Adam::default(),
             sky: SkyOptimizer::default(),
@@ -68,7 +68,7 @@ impl CpuTrainer {
         self.chunks.resize_with(count, Chunk::default);
         let setting = Setting {
             field: &self.field,
-            mlp: &self.weights,
+            transposed: &self.transposed,
             losses,
             simd: self.simd,
         };
@@ -110,7 +110,7 @@ impl CpuTrainer {
             &self.mlp_gradients,
             rates.mlp,
         );
-        self.weights.update(&self.field.mlp);
+        self.transposed.update(&self.field.mlp);
         if let Some(sky) = &mut self.field.sky {
             self.sky.step(sky, &self.chunks, rates.sky);
         }

@@ -1,0 +1,201 @@
+//! Fits a background to a drive.
+
+use glam::{DVec3, UVec3, Vec3};
+use rayon::prelude::*;
+
+use super::control::{Progress, Stage, TrainControl};
+use super::evaluate::evaluate;
+use super::fit::fit;
+use super::free_space::{FreeSpace, Visibility};
+use super::input::{BackgroundInput, Trained};
+use super::preset::TrainPreset;
+use super::refine::field_bytes;
+use super::sampler::Sampler;
+use super::seed::{CELL_VOXELS, CellSet, seed_density, store_around_points};
+use super::survey::survey;
+use super::validate::{validate_points, validate_views};
+use crate::field::{ColorMlp, DensityActivation, Field, Lattice, Occupancy, SkyGrid, SkyMap};
+use crate::scene::Draws;
+use crate::view::Split;
+use crate::{Error, Result};
+
+/// Room below the lowest and above the highest return, in metres: returns end where the beams do, facades do not.
+const BELOW_M: f64 = 1.0;
+const ABOVE_M: f64 = 12.0;
+/// Returns outside these quantiles do not widen the box.
+const EXTENT_QUANTILE: f64 = 0.002;
+/// Edge of the cubes that free space is judged in, in metres.
+const CUBE_M: f32 = 0.8;
+/// Headings x elevations of the sky's grids: 5.6 degrees for what was never seen, 0.35 for what lies beyond the box.
+const SKY_GRIDS: [(u32, u32); 2] = [(64, 32), (1024, 512)];
+
+/// Trains a background field on the views whose split is `Train`, and measures it on the held-out ones.
+///
+/// # Errors
+/// [`Error::Invalid`] naming frame and field before any step, [`Error::OutOfMemory`] if the coarse levels alone exceed the
+/// preset's bound, [`Error::Diverged`] and [`Error::Cancelled`].
+pub fn train_background(
+    input: &BackgroundInput,
+    preset: &TrainPreset,
+    seed: u64,
+    control: &dyn TrainControl,
+) -> Result<Trained> {
+    validate_views("background", &input.views)?;
+    validate_points("background", "lidar_points", &input.lidar_points)?;
+    if input.ego_path.is_empty() || !input.ego_path.iter().all(|p| p.is_finite()) {
+        return Err(Error::invalid(
+            "background: ego_path must be finite and not empty",
+        ));
+    }
+    control.progress(Progress {
+        stage: Stage::Prepare,
+        step: 0,
+        step_count: preset.steps,
+        psnr_train: None,
+    });
+    let path: Vec<Vec3> = input.ego_path.iter().map(|p| p.as_vec3()).collect();
+    let reach_m = &preset.level_reach_m;
+    let allowed = |p: Vec3, level: usize| {
+        reach_m[level].is_infinite()
+            || path
+                .iter()
+                .any(|at| at.distance_squared(p) < reach_m[level] * reach_m[level])
+    };
+    let field = prepare(input, preset, seed, &allowed)?;
+    let sampler = Sampler::whole_images(&input.views, seed);
+    let (field, run) = fit(field, &sampler, preset, &allowed, control)?;
+    control.progress(Progress {
+        stage: Stage::Evaluate,
+        step: preset.steps,
+        step_count: preset.steps,
+        psnr_train: run.psnr_train,
+    });
+    let quality = evaluate(&field, &input.views, run);
+    Ok(Trained { field, quality })
+}
+
+fn prepare(
+    input: &BackgroundInput,
+    preset: &TrainPreset,
+    seed: u64,
+    allowed: &(dyn Fn(Vec3, usize) -> bool + Sync),
+) -> Result<Field> {
+    let (low, high) = bounds(input, preset.box_reach_m);
+    let mut field = empty_field(low, high, preset, seed)?;
+    field.sky = Some(SkyMap::new(
+        SKY_GRIDS
+            .map(|(width, height)| SkyGrid::new(width, height))
+            .to_vec(),
+    ));
+    let points: Vec<Vec3> = input.lidar_points.iter().map(|p| Vec3::from(*p)).collect();
+    let near = CellSet::around_points(&field, &points);
+    let free = FreeSpace::new(&input.views);
+    let possible = possible_cubes(&free, low, high);
+    // Coarse levels wherever something may be, so that it can be found; the finest only at returns.
+    let coarse = field.levels.len().saturating_sub(1);
+    for cube in &possible {
+        for level in &mut field.levels[..coarse] {
+            for corner in 0..8 {
+                let step = Vec3::new(
+                    (corner & 1) as f32,
+                    (corner >> 1 & 1) as f32,
+                    (corner >> 2) as f32,
+                );
+                if let Some(at) = level.brick_at(*cube + step * (CUBE_M + level.voxel_m())) {
+                    level.allocate(at);
+                }
+            }
+        }
+    }
+    let needed = field_bytes(&field);
+    if needed > preset.memory_bytes {
+        return Err(Error::OutOfMemory {
+            what: "the background's coarse voxels",
+            needed_bytes: needed,
+            available_bytes: preset.memory_bytes,
+        });
+    }
+    store_around_points(&mut field, &points, preset.memory_bytes, allowed);
+    seed_density(&mut field, &points, preset.seed_sigma);
+    let cubes = CellSet::of_cubes(&field, &possible, CUBE_M);
+    field.occupancy = survey(&field, |centre| {
+        near.contains(centre) || cubes.contains(centre)
+    });
+    Ok(field)
+}
+
+/// A field without bricks over the box from `low` to `high`.
+pub(super) fn empty_field(low: Vec3, high: Vec3, preset: &TrainPreset, seed: u64) -> Result<Field> {
+    let finest = preset.voxels_m.last().copied().unwrap_or(0.0);
+    let too_large = || {
+        Error::invalid(format!(
+            "a box of {:.0} m is too large for voxels of {finest} m",
+            (high - low).max_element()
+        ))
+    };
+    let level = |voxel_m: &f32| Lattice::new(*voxel_m, low, high - low).ok_or_else(too_large);
+    let mut draws = Draws::new(seed, u64::MAX, 0);
+    Ok(Field {
+        bounds_m: (low, high),
+        levels: preset.voxels_m.iter().map(level).collect::<Result<_>>()?,
+        activation: DensityActivation::from_alpha(preset.alpha_init, finest),
+        mlp: ColorMlp::new(preset.mlp_width, || draws.unit()),
+        sky: None,
+        occupancy: Occupancy::new(finest * CELL_VOXELS, low, high - low).ok_or_else(too_large)?,
+        step_growth: preset.step_growth,
+    })
+}
+
+/// The box: the path's surroundings, cut to what LiDAR reached where there is LiDAR.
+fn bounds(input: &BackgroundInput, reach_m: f64) -> (Vec3, Vec3) {
+    let views = input.views.iter().filter(|view| view.split == Split::Train);
+    let cameras = views.map(|view| view.local_from_camera.translation_m);
+    let (mut low, mut high) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
+    for p in cameras.chain(input.ego_path.iter().copied()) {
+        low = low.min(p);
+        high = high.max(p);
+    }
+    let mut reach_low = low - DVec3::new(reach_m, reach_m, 4.0);
+    let mut reach_high = high + DVec3::new(reach_m, reach_m, ABOVE_M);
+    if input.lidar_points.len() >= 100 {
+        let (first, last) = extent(&input.lidar_points);
+        let margin = DVec3::new(2.0, 2.0, 0.0);
+        reach_low = reach_low
+            .max(first - margin - DVec3::Z * BELOW_M)
+            .min(low - 1.0);
+        let top = DVec3::new(last.x + 2.0, last.y + 2.0, f64::INFINITY);
+        reach_high = reach_high.min(top).max(high + 1.0);
+    }
+    (reach_low.as_vec3(), reach_high.as_vec3())
+}
+
+fn extent(points: &[[f32; 3]]) -> (DVec3, DVec3) {
+    let (mut low, mut high) = (DVec3::ZERO, DVec3::ZERO);
+    for axis in 0..3 {
+        let mut values: Vec<f32> = points.iter().map(|p| p[axis]).collect();
+        values.sort_by(f32::total_cmp);
+        let cut = (values.len() as f64 * EXTENT_QUANTILE) as usize;
+        low[axis] = f64::from(values[cut]);
+        high[axis] = f64::from(values[values.len() - 1 - cut]);
+    }
+    (low, high)
+}
+
+/// Lower corners of the cubes that some training view sees and none proves to be free.
+fn possible_cubes(free: &FreeSpace, low: Vec3, high: Vec3) -> Vec<Vec3> {
+    let cubes = ((high - low) / CUBE_M).ceil().as_uvec3();
+    (0..cubes.element_product())
+        .into_par_iter()
+        .with_min_len(1024)
+        .filter_map(|number| {
+            let cube = UVec3::new(
+                number % cubes.x,
+                number / cubes.x % cubes.y,
+                number / (cubes.x * cubes.y),
+            );
+            let corner = low + cube.as_vec3() * CUBE_M;
+            let seen = free.judge(corner + CUBE_M / 2.0, CUBE_M) == Visibility::Possible;
+            seen.then_some(corner)
+        })
+        .collect()
+}

@@ -1,0 +1,106 @@
+//! The training loop, the same for every kind of field.
+
+use super::control::{Progress, Stage, TrainControl};
+use super::preset::TrainPreset;
+use super::ray::{Rates, TrainRay};
+use super::refine::refine;
+use super::sampler::Sampler;
+use crate::backend::cpu::{CpuTrainer, Simd};
+use crate::field::Field;
+use crate::quality::psnr_db;
+use crate::{Error, Result};
+
+/// Depth rays whose error exceeds this quantile of the previous step's are outliers.
+const DEPTH_TRIM_QUANTILE: f64 = 0.95;
+/// Weight of the newest step in the running training error.
+const ERROR_MOMENTUM: f64 = 0.05;
+
+/// What a run was.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Run {
+    pub(super) rays: u64,
+    pub(super) seconds: f64,
+    pub(super) psnr_train: Option<f64>,
+    pub(super) warnings: Vec<String>,
+}
+
+/// Fits `field` and returns it. `allowed(position, level)` says where a level may store bricks.
+pub(super) fn fit(
+    field: Field,
+    sampler: &Sampler<'_>,
+    preset: &TrainPreset,
+    allowed: &(dyn Fn(glam::Vec3, usize) -> bool + Sync),
+    control: &dyn TrainControl,
+) -> Result<(Field, Run)> {
+    let mut trainer = CpuTrainer::new(field, Simd::detect());
+    let mut run = Run::default();
+    let mut rays: Vec<TrainRay> = Vec::new();
+    let mut losses = preset.losses;
+    let mut surveys = preset.surveys.iter().peekable();
+    let mut error = None;
+    let start_s = control.seconds();
+    for step in 0..preset.steps {
+        if control.cancelled() {
+            return Err(Error::Cancelled);
+        }
+        let seconds = control.seconds() - start_s;
+        let clock = if preset.seconds > 0.0 {
+            seconds / preset.seconds
+        } else {
+            0.0
+        };
+        let done = (step as f64 / preset.steps as f64).max(clock);
+        if done >= 1.0 {
+            break;
+        }
+        if surveys.next_if(|at| done >= **at).is_some() {
+            run.warnings.extend(refine(&mut trainer, preset, allowed));
+        }
+        sampler.draw(step, &preset.mix, &mut rays);
+        let sums = trainer.step(&rays, &losses, rates_at(preset, done));
+        if !sums.loss.is_finite() {
+            let quantity = if sums.squared_error.is_finite() {
+                "loss"
+            } else {
+                "colour"
+            };
+            return Err(Error::Diverged { step, quantity });
+        }
+        if sums.color_rays > 0 {
+            let now = sums.squared_error / sums.color_rays as f64;
+            error = Some(error.map_or(now, |e| e + ERROR_MOMENTUM * (now - e)));
+        }
+        losses.depth_trim_m = quantile(&sums.range_errors_m, DEPTH_TRIM_QUANTILE);
+        run.rays += rays.len() as u64;
+        control.progress(Progress {
+            stage: Stage::Train,
+            step: step + 1,
+            step_count: preset.steps,
+            psnr_train: error.map(psnr_db),
+        });
+    }
+    run.warnings
+        .extend(refine(&mut trainer, preset, &|_, _| false));
+    run.seconds = control.seconds() - start_s;
+    run.psnr_train = error.map(psnr_db);
+    Ok((trainer.into_field(), run))
+}
+
+/// Exponential decay, as DVGO's.
+fn rates_at(preset: &TrainPreset, done: f64) -> Rates {
+    let factor = preset.rate_decay.powf(done as f32);
+    Rates {
+        density: preset.rates.density * factor,
+        features: preset.rates.features * factor,
+        mlp: preset.rates.mlp * factor,
+        sky: preset.rates.sky * factor,
+    }
+}
+
+/// The value below which the share `q` of `values` lies; infinite for none.
+fn quantile(values: &[f32], q: f64) -> f32 {
+    let mut sorted = values.to_vec();
+    sorted.sort_by(f32::total_cmp);
+    let at = (values.len() as f64 * q) as usize;
+    sorted.get(at).copied().unwrap_or(f32::INFINITY)
+}

@@ -1,0 +1,130 @@
+//! Space that the log proves to be empty before training starts.
+
+use glam::{DVec3, Vec3};
+
+use crate::camera::{Camera, Rigid};
+use crate::view::{PixelLabel, Split, TrainView};
+
+/// Edge of an image tile in pixels.
+const TILE: u32 = 8;
+
+/// What a view proves about the directions of each image tile: free up to a range.
+#[derive(Debug)]
+struct FreeTiles {
+    camera: Camera,
+    camera_from_local: Rigid,
+    columns: u32,
+    /// Metres; infinite where the tile is sky, 0 where nothing is known.
+    free_m: Vec<f32>,
+}
+
+/// Free space as the training views see it: up to the LiDAR returns, and everywhere along sky pixels.
+#[derive(Debug)]
+pub(super) struct FreeSpace {
+    views: Vec<FreeTiles>,
+}
+
+/// What the views say about a cube of space.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Visibility {
+    /// In no training image.
+    Unseen,
+    /// In an image, and not proven to be free.
+    Possible,
+    /// Proven to be free.
+    Free,
+}
+
+impl FreeSpace {
+    pub(super) fn new(views: &[TrainView]) -> Self {
+        let train = views.iter().filter(|view| view.split == Split::Train);
+        Self {
+            views: train.map(free_tiles).collect(),
+        }
+    }
+
+    /// Judges the cube of edge `side_m` around `centre`.
+    pub(super) fn judge(&self, centre: Vec3, side_m: f32) -> Visibility {
+        let centre: DVec3 = centre.as_dvec3();
+        let mut visibility = Visibility::Unseen;
+        // The cube's half diagonal.
+        let reach = f64::from(side_m) * 0.87;
+        for view in &self.views {
+            let p = view.camera_from_local.point(centre);
+            let Some(pixel) = view.camera.project(p) else {
+                continue;
+            };
+            let radius = reach / p.z * view.camera.focal_px.max_element();
+            let (width, height) = (f64::from(view.camera.width), f64::from(view.camera.height));
+            let seen = pixel.x > -radius
+                && pixel.y > -radius
+                && pixel.x < width + radius
+                && pixel.y < height + radius;
+            if !seen {
+                continue;
+            }
+            visibility = Visibility::Possible;
+            let inside = pixel.x >= radius
+                && pixel.y >= radius
+                && pixel.x + radius < width
+                && pixel.y + radius < height;
+            if inside && view.free_range(pixel.x, pixel.y, radius) > p.length() + reach {
+                return Visibility::Free;
+            }
+        }
+        visibility
+    }
+}
+
+impl FreeTiles {
+    /// The least free range of the tiles within `radius` pixels.
+    fn free_range(&self, x: f64, y: f64, radius: f64) -> f64 {
+        let tile = |v: f64| (v / f64::from(TILE)) as u32;
+        let rows = self.free_m.len() as u32 / self.columns;
+        let mut least = f32::INFINITY;
+        for row in tile(y - radius)..=tile(y + radius).min(rows - 1) {
+            for column in tile(x - radius)..=tile(x + radius).min(self.columns - 1) {
+                least = least.min(self.free_m[(row * self.columns + column) as usize]);
+                if least == 0.0 {
+                    return 0.0;
+                }
+            }
+        }
+        f64::from(least)
+    }
+}
+
+fn free_tiles(view: &TrainView) -> FreeTiles {
+    let columns = view.camera.width.div_ceil(TILE);
+    let rows = view.camera.height.div_ceil(TILE);
+    // Infinite means no return yet, or all sky.
+    let mut free_m = vec![f32::INFINITY; (columns * rows) as usize];
+    let mut returns = vec![false; free_m.len()];
+    let mut solid = vec![false; free_m.len()];
+    for (number, label) in view.labels.iter().enumerate() {
+        let (x, y) = (
+            number as u32 % view.camera.width,
+            number as u32 / view.camera.width,
+        );
+        solid[(y / TILE * columns + x / TILE) as usize] |= *label != PixelLabel::Sky;
+    }
+    for depth in &view.depth {
+        let [x, y] = depth.pixel.map(|c| c as u32 / TILE);
+        if x < columns && y < rows {
+            let tile = (y * columns + x) as usize;
+            returns[tile] = true;
+            free_m[tile] = free_m[tile].min(depth.range_m);
+        }
+    }
+    for tile in 0..free_m.len() {
+        if solid[tile] && !returns[tile] {
+            free_m[tile] = 0.0;
+        }
+    }
+    FreeTiles {
+        camera: view.camera,
+        camera_from_local: view.local_from_camera.inverse(),
+        columns,
+        free_m,
+    }
+}

@@ -1,0 +1,253 @@
+//! Draws the rays of a step from the training views.
+
+use glam::{DVec2, DVec3, Vec3};
+use rayon::prelude::*;
+
+use super::ray::{Backdrop, Silhouette, TrainRay};
+use crate::field::Ray;
+use crate::scene::Draws;
+use crate::view::{PixelLabel, Split, TrainView};
+
+/// Redraws of a pixel that supervises nothing, before the ray goes without a target.
+const REDRAWS: usize = 24;
+
+/// How many rays of each sort a step has, and the weight of their losses.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RayMix {
+    pub pixel_rays: usize,
+    pub depth_rays: usize,
+    pub color_weight: f32,
+    pub depth_weight: f32,
+    /// Opaque and transparent rays of objects, each sort a mean of its own.
+    pub silhouette_weight: f32,
+    /// Transparency of sky pixels.
+    pub sky_weight: f32,
+    /// Objects: mirrored rays' share of rays, and the factor on their colour weight.
+    pub mirror_share: f64,
+    pub mirror_color: f32,
+    /// Metres past a return at which its ray ends.
+    pub depth_margin_m: f32,
+}
+
+/// Where rays may start in each view.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct PixelWindow {
+    left: u32,
+    top: u32,
+    width: u32,
+    height: u32,
+}
+
+/// Draws rays, a pure function of (seed, step, ray).
+#[derive(Debug)]
+pub(super) struct Sampler<'a> {
+    views: Vec<(&'a TrainView, PixelWindow)>,
+    /// Views with LiDAR returns.
+    depth_views: Vec<&'a TrainView>,
+    /// Objects composite over random colours, so that transparency never explains a pixel.
+    object: bool,
+    seed: u64,
+}
+
+impl<'a> Sampler<'a> {
+    /// Rays through all pixels of the training views.
+    pub(super) fn whole_images(views: &'a [TrainView], seed: u64) -> Self {
+        let whole = |view: &TrainView| PixelWindow {
+            left: 0,
+            top: 0,
+            width: view.camera.width,
+            height: view.camera.height,
+        };
+        Self::new(views, |view| Some(whole(view)), false, seed)
+    }
+
+    /// Rays through the pixels that the padded cuboid of half extents `half_m` covers.
+    pub(super) fn around_cuboid(views: &'a [TrainView], half_m: DVec3, seed: u64) -> Self {
+        Self::new(views, |view| cuboid_window(view, half_m), true, seed)
+    }
+
+    fn new(
+        views: &'a [TrainView],
+        window: impl Fn(&TrainView) -> Option<PixelWindow>,
+        object: bool,
+        seed: u64,
+    ) -> Self {
+        let train = views.iter().filter(|view| view.split == Split::Train);
+        Self {
+            views: train
+                .clone()
+                .filter_map(|view| Some((view, window(view)?)))
+                .collect(),
+            depth_views: train.filter(|view| !view.depth.is_empty()).collect(),
+            object,
+            seed,
+        }
+    }
+
+    /// Number of training views that rays come from.
+    pub(super) fn view_count(&self) -> usize {
+        self.views.len()
+    }
+
+    pub(super) fn has_depth(&self) -> bool {
+        !self.depth_views.is_empty()
+    }
+
+    /// Replaces `out` by the rays of one step.
+    pub(super) fn draw(&self, step: u64, mix: &RayMix, out: &mut Vec<TrainRay>) {
+        let depth_rays = if self.has_depth() { mix.depth_rays } else { 0 };
+        let count = mix.pixel_rays + depth_rays;
+        (0..count)
+            .into_par_iter()
+            .with_min_len(256)
+            .map(|number| {
+                let mut draws = Draws::new(self.seed, step, number as u32);
+                if number < mix.pixel_rays {
+                    self.pixel_ray(mix, &mut draws)
+                } else {
+                    self.depth_ray(mix, depth_rays, &mut draws)
+                }
+            })
+            .collect_into_vec(out);
+        if self.object {
+            balance(mix, out);
+        }
+    }
+
+    fn pixel_ray(&self, mix: &RayMix, draws: &mut Draws) -> TrainRay {
+        let (view, window) = self.views[draws.below(self.views.len())];
+        let mut pixel = (0, 0);
+        let mut label = PixelLabel::Unknown;
+        for _ in 0..REDRAWS {
+            pixel = (
+                window.left + draws.below(window.width as usize) as u32,
+                window.top + draws.below(window.height as usize) as u32,
+            );
+            label = view.labels[(pixel.1 * view.camera.width + pixel.0) as usize];
+            if label != PixelLabel::Unknown {
+                break;
+            }
+        }
+        let mut ray = bare_ray(
+            view,
+            DVec2::new(f64::from(pixel.0) + 0.5, f64::from(pixel.1) + 0.5),
+            draws,
+        );
+        let at = 3 * (pixel.1 as usize * view.camera.width as usize + pixel.0 as usize);
+        ray.color = std::array::from_fn(|c| f32::from(view.rgb[at + c]) / 255.0);
+        let share = 1.0 / mix.pixel_rays as f32;
+        match label {
+            PixelLabel::Unknown => {}
+            PixelLabel::Foreground => {
+                ray.color_weight = mix.color_weight * share;
+                if self.object {
+                    ray.silhouette = Silhouette::Opaque;
+                    ray.backdrop = Backdrop::Color(std::array::from_fn(|_| draws.unit() as f32));
+                }
+            }
+            PixelLabel::Background => ray.silhouette = Silhouette::Transparent,
+            PixelLabel::Sky => {
+                ray.color_weight = mix.color_weight * share;
+                ray.silhouette = Silhouette::Transparent;
+                ray.silhouette_weight = mix.sky_weight * share;
+            }
+        }
+        self.maybe_mirrored(ray, mix, draws)
+    }
+
+    fn depth_ray(&self, mix: &RayMix, depth_rays: usize, draws: &mut Draws) -> TrainRay {
+        let view = self.depth_views[draws.below(self.depth_views.len())];
+        let depth = view.depth[draws.below(view.depth.len())];
+        let [x, y] = depth.pixel.map(f64::from);
+        let mut ray = bare_ray(view, DVec2::new(x, y), draws);
+        ray.range_m = depth.range_m;
+        ray.range_weight = mix.depth_weight / depth_rays as f32;
+        ray.t_max = depth.range_m + mix.depth_margin_m;
+        self.maybe_mirrored(ray, mix, draws)
+    }
+
+    /// The ray's reflection about the x-z plane, for a share of the rays. Geometry keeps its weight; baked-in light does not
+    /// mirror, so colour is trusted less.
+    fn maybe_mirrored(&self, mut ray: TrainRay, mix: &RayMix, draws: &mut Draws) -> TrainRay {
+        if draws.chance(mix.mirror_share) {
+            ray.ray.origin.y = -ray.ray.origin.y;
+            ray.ray.direction.y = -ray.ray.direction.y;
+            ray.color_weight *= mix.mirror_color;
+        }
+        ray
+    }
+}
+
+fn bare_ray(view: &TrainView, pixel: DVec2, draws: &mut Draws) -> TrainRay {
+    let direction = view
+        .local_from_camera
+        .direction(view.camera.direction(pixel));
+    TrainRay {
+        ray: Ray {
+            origin: view.local_from_camera.translation_m.as_vec3(),
+            direction: direction.as_vec3(),
+        },
+        phase: draws.unit() as f32,
+        t_max: f32::INFINITY,
+        color: [0.0; 3],
+        color_weight: 0.0,
+        backdrop: Backdrop::Sky,
+        silhouette: Silhouette::Unknown,
+        silhouette_weight: 0.0,
+        range_m: 0.0,
+        range_weight: 0.0,
+    }
+}
+
+/// Makes opaque and transparent rays weigh the same in sum, or the larger sort would decide every edge.
+fn balance(mix: &RayMix, rays: &mut [TrainRay]) {
+    let count = |sort| {
+        rays.iter()
+            .filter(|ray| ray.silhouette == sort)
+            .count()
+            .max(1) as f32
+    };
+    let opaque = mix.silhouette_weight / count(Silhouette::Opaque);
+    let transparent = mix.silhouette_weight / count(Silhouette::Transparent);
+    for ray in rays {
+        ray.silhouette_weight = match ray.silhouette {
+            Silhouette::Opaque => opaque,
+            Silhouette::Transparent => transparent,
+            Silhouette::Unknown => 0.0,
+        };
+    }
+}
+
+/// The image window around the cuboid's projected corners; `None` if the camera does not see it.
+fn cuboid_window(view: &TrainView, half_m: DVec3) -> Option<PixelWindow> {
+    let camera_from_local = view.local_from_camera.inverse();
+    let (mut low, mut high) = (DVec2::INFINITY, DVec2::NEG_INFINITY);
+    for corner in 0..8 {
+        let sign = |bit: i32| if corner >> bit & 1 == 0 { -1.0 } else { 1.0 };
+        let p = DVec3::new(sign(0), sign(1), sign(2)) * half_m;
+        let pixel = view.camera.project(camera_from_local.point(p))?;
+        low = low.min(pixel);
+        high = high.max(pixel);
+    }
+    let size = DVec2::new(f64::from(view.camera.width), f64::from(view.camera.height));
+    let low = low.floor().clamp(DVec2::ZERO, size);
+    let high = high.ceil().clamp(DVec2::ZERO, size);
+    let span = (high - low).as_uvec2();
+    (span.x > 0 && span.y > 0).then_some(PixelWindow {
+        left: low.x as u32,
+        top: low.y as u32,
+        width: span.x,
+        height: span.y,
+    })
+}
+
+/// Unit direction and origin of a view's ray, in the local frame.
+pub(crate) fn view_ray(view: &TrainView, pixel: DVec2) -> Ray {
+    let direction: DVec3 = view
+        .local_from_camera
+        .direction(view.camera.direction(pixel));
+    Ray {
+        origin: view.local_from_camera.translation_m.as_vec3(),
+        direction: Vec3::from(direction.as_vec3()),
+    }
+}
