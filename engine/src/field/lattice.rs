@@ -27,12 +27,12 @@ pub struct Corners {
 
 /// A level's values, borrowed for change. The first 512 of each array are the null brick's and must stay 0.
 #[derive(Debug)]
-pub struct Parameters<'a> {
-    pub voxel_m: f32,
-    pub origin_m: Vec3,
-    pub positions: &'a [[u16; 3]],
-    pub density: &'a mut [f32],
-    pub features: &'a mut [[f32; FEATURES]],
+pub(crate) struct PlacedParameters<'a> {
+    pub(crate) voxel_m: f32,
+    pub(crate) origin_m: Vec3,
+    pub(crate) positions: &'a [[u16; 3]],
+    pub(crate) density: &'a mut [f32],
+    pub(crate) features: &'a mut [[f32; FEATURES]],
 }
 
 /// A brick-sparse lattice level.
@@ -54,7 +54,8 @@ impl Lattice {
     pub fn new(voxel_m: f32, origin_m: Vec3, size_m: Vec3) -> Option<Self> {
         let brick_m = voxel_m * BRICK_SIDE as f32;
         let span = (size_m / brick_m).ceil();
-        let countable = size_m.is_finite() && span.is_finite() && span.max_element() < f32::from(u16::MAX);
+        let countable =
+            size_m.is_finite() && span.is_finite() && span.max_element() < f32::from(u16::MAX);
         countable
             .then(|| Self::with_bricks(voxel_m, origin_m, span.as_uvec3().max(UVec3::ONE)))
             .flatten()
@@ -118,9 +119,14 @@ impl Lattice {
         &self.features
     }
 
-    /// The parameter arrays for an optimiser, with what is needed to place them.
-    pub fn parameters_mut(&mut self) -> Parameters<'_> {
-        Parameters {
+    /// Raw densities and features. The first 512 entries of each are the null brick's and must stay 0.
+    pub fn parameters_mut(&mut self) -> (&mut [f32], &mut [[f32; FEATURES]]) {
+        (&mut self.density, &mut self.features)
+    }
+
+    /// The parameter arrays with what places them in space, for the optimiser.
+    pub(crate) fn placed_parameters_mut(&mut self) -> PlacedParameters<'_> {
+        PlacedParameters {
             voxel_m: self.voxel_m,
             origin_m: self.origin_m,
             positions: &self.positions,

@@ -33,7 +33,8 @@ impl Occupancy {
         let span = (size_m / (cell_m * BLOCK_SIDE as f32))
             .ceil()
             .max(Vec3::ONE);
-        let countable = size_m.is_finite() && span.is_finite() && span.max_element() <= MAX_INDEX_BLOCKS;
+        let countable =
+            size_m.is_finite() && span.is_finite() && span.max_element() <= MAX_INDEX_BLOCKS;
         countable
             .then(|| Self::with_blocks(cell_m, origin_m, span.as_uvec3()))
             .flatten()
@@ -112,10 +113,7 @@ impl Occupancy {
         let q = (p - self.origin_m) * (1.0 / self.cell_m);
         // A ray inside the box can leave it by rounding; the nearest cell then answers.
         let cells = (self.blocks * BLOCK_SIDE).as_ivec3();
-        let cell = q
-            .as_ivec3()
-            .clamp(glam::IVec3::ZERO, cells - 1)
-            .as_uvec3();
+        let cell = q.as_ivec3().clamp(glam::IVec3::ZERO, cells - 1).as_uvec3();
         let block = cell >> 3u32;
         let at = ((block.z * self.blocks.y + block.y) * self.blocks.x + block.x) as usize;
         let stored = self.index[at] as usize;

@@ -131,7 +131,7 @@ pub(super) fn seed_density(field: &mut Field, points: &[Vec3], sigma: f32) {
         let Some(corners) = level.corners(*p) else {
             continue;
         };
-        let density = level.parameters_mut().density;
+        let (density, _) = level.parameters_mut();
         for (node, weight) in corners.nodes.into_iter().zip(corners.weights) {
             let stored = node as usize >= crate::field::BRICK_NODES;
             if stored && weight > SEED_WEIGHT {

@@ -66,7 +66,7 @@ impl LevelOptimizer {
         self.resize(level.brick_count());
         self.bins.sort(level.brick_count(), number, chunks);
         let bins = &self.bins;
-        let parameters = level.parameters_mut();
+        let parameters = level.placed_parameters_mut();
         let (voxel_m, origin_m) = (parameters.voxel_m, parameters.origin_m);
         let positions = parameters.positions;
         parameters
