@@ -9,7 +9,6 @@ pub mod generator;
 pub mod kitti;
 
 pub mod geometry;
-pub mod motion;
 
 pub mod connection;
 pub mod names;

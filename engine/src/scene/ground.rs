@@ -220,8 +220,8 @@ fn reject_off_road(
     region: &ValidRegion,
     found: &mut [Found],
 ) {
-    for cell in 0..found.len() {
-        if found[cell] != Found::Ground {
+    for (cell, found) in found.iter_mut().enumerate() {
+        if *found != Found::Ground {
             continue;
         }
         let beside = path.beside(region.centre(cell));
@@ -232,7 +232,7 @@ fn reject_off_road(
             .unwrap_or(beside.camera_z - camera_height);
         let limit = config.max_step_m + config.cross_slope * beside.distance_m;
         if (region.ground_m[cell] - under_path).abs() > limit {
-            found[cell] = Found::Step;
+            *found = Found::Step;
         }
     }
 }

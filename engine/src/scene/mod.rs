@@ -38,6 +38,10 @@ mod box_world;
 mod composition_tests;
 #[cfg(test)]
 mod region_tests;
+#[cfg(test)]
+mod render_tests;
+#[cfg(test)]
+mod solid_field;
 
 pub use collision::{Occupied, intersection_area_m2};
 pub use composition::{ATTEMPTS, Candidate, Composition, Origin, PlacedObject, Stage, compose};

@@ -142,16 +142,15 @@ impl<'a> TileRenderer<'a> {
         for (i, object) in scene.objects.iter().enumerate() {
             if touches(&object.pixels, centre) {
                 self.active.push(i);
-                side = side.max(object.supersample);
                 (self.object_weight[i], self.object_alone[i]) = (0.0, 0.0);
             }
         }
+        side = side.max(self.object_side(corner));
         let share = 1.0 / (side * side) as f32;
         let mut first: Option<(EyeRay, Hit)> = None;
         let pixel = &mut tile.pixels[index as usize];
         for sub in 0..side * side {
-            let offset = DVec2::new(f64::from(sub % side) + 0.5, f64::from(sub / side) + 0.5);
-            let ray = self.eye_ray(corner + offset / f64::from(side));
+            let ray = self.eye_ray(corner + sub_pixel(sub, side));
             let hit = self.trace(ray, index, share);
             let sky = scene.background.map_or([0.0; 3], |b| b.sky(ray.direction));
             for (channel, sky) in pixel.rgb.iter_mut().zip(sky) {
@@ -173,6 +172,24 @@ impl<'a> TileRenderer<'a> {
                 tile.count_alone(*i, self.scene.objects[*i].instance_id, owner);
             }
         }
+    }
+
+    /// Rays per pixel side that the objects met within the pixel ask for: an object nobody meets must change nothing.
+    fn object_side(&mut self, corner: DVec2) -> u32 {
+        let mut side = 1;
+        for slot in 0..self.active.len() {
+            let wanted = self.scene.objects[self.active[slot]].supersample;
+            let meets = wanted > side
+                && (0..wanted * wanted).any(|sub| {
+                    let ray = self.eye_ray(corner + sub_pixel(sub, wanted));
+                    self.sources[1 + slot].clear();
+                    self.march_object(ray, slot, 0.0)
+                });
+            if meets {
+                side = wanted;
+            }
+        }
+        side
     }
 
     fn eye_ray(&self, pixel: DVec2) -> EyeRay {
@@ -351,6 +368,12 @@ impl<'a> TileRenderer<'a> {
             batch.targets.clear();
         }
     }
+}
+
+/// Position in the pixel of sub-ray `sub` of `side * side`.
+fn sub_pixel(sub: u32, side: u32) -> DVec2 {
+    let offset = DVec2::new(f64::from(sub % side) + 0.5, f64::from(sub / side) + 0.5);
+    offset / f64::from(side)
 }
 
 fn touches(pixels: &PixelBox, centre: DVec2) -> bool {

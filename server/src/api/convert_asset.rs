@@ -60,5 +60,7 @@ fn quality_to_wire(quality: &QualityReport) -> v1::QualityReport {
         voxel_size_m: quality.voxel_size_m,
         warnings: quality.warnings.clone(),
         held_out_frames: quality.held_out_frames.clone(),
+        image_width_px: quality.image_size_px.map_or(0, |size| size.0),
+        image_height_px: quality.image_size_px.map_or(0, |size| size.1),
     }
 }

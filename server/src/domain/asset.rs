@@ -44,6 +44,9 @@ pub struct QualityReport {
     pub train_views: u32,
     pub held_out_views: u32,
     pub held_out_frames: Vec<u32>,
+    /// Backgrounds: width and height in pixels of the first camera's images as trained.
+    #[serde(default)]
+    pub image_size_px: Option<(u32, u32)>,
     /// 0..1.
     pub accumulation_in_mask: Option<f64>,
     /// 0..1, lower is better.

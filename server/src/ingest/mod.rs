@@ -27,7 +27,7 @@ mod object;
 mod object_labels;
 mod object_plan;
 
-pub(crate) use background::{BackgroundSet, background_set, recording, time_order, trained_size};
+pub(crate) use background::{BackgroundSet, background_set, recording};
 pub use content::LogBlobs;
 pub use frame::FrameError;
 pub use image::ImageError;

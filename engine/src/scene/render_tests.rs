@@ -1,0 +1,268 @@
+//! Merged rendering and labels on analytic fields: a road, a wall, a parked car in the background, and inserted boxes.
+
+use std::collections::BTreeMap;
+
+use glam::{DVec2, DVec3, Vec3};
+
+use super::box_world::{camera, forward_from_camera};
+use super::composition::{Composition, Origin, PlacedObject};
+use super::labels::{FrameLabel, label};
+use super::projection::corners;
+use super::render::{RenderOptions, RenderedFrame, Scene, render};
+use super::solid_field::solid_field;
+use super::valid_region::ValidRegion;
+use crate::camera::Rigid;
+use crate::class::ObjectClass;
+use crate::{Error, Field};
+
+const CAR: DVec3 = DVec3::new(4.0, 2.0, 1.6);
+const PARKED_AT: DVec3 = DVec3::new(16.0, -4.0, 0.8);
+
+/// Road at z = 0, a parked car, and a wall across the road at x = 25 on the left side.
+fn background() -> Field {
+    let (low, high) = (Vec3::new(0.0, -10.0, -1.0), Vec3::new(30.0, 10.0, 3.8));
+    solid_field(low, high, 0.2, [0.3, 0.3, 0.35], |p| {
+        let parked = (p - PARKED_AT.as_vec3()).abs();
+        let in_car = parked.cmple(CAR.as_vec3() * 0.5).all();
+        let in_wall = (25.0..26.0).contains(&p.x) && p.y > 2.0;
+        if p.z <= -0.1 || in_car || in_wall {
+            60.0
+        } else {
+            0.0
+        }
+    })
+}
+
+fn car(rgb: [f32; 3], sigma: f32) -> Field {
+    let half = (CAR * 0.5).as_vec3();
+    let pad = Vec3::splat(0.2);
+    solid_field(-half - pad, half + pad, 0.1, rgb, |p| {
+        if p.abs().cmple(half).all() {
+            sigma
+        } else {
+            0.0
+        }
+    })
+}
+
+fn placed(id: u16, origin: Origin, asset: Option<usize>, x: f64, y: f64) -> PlacedObject {
+    PlacedObject {
+        instance_id: id,
+        origin,
+        class: ObjectClass::Car,
+        size_m: CAR,
+        local_from_object: Rigid::from_heading(0.3, DVec3::new(x, y, 0.8)),
+        asset,
+        track_id: None,
+        beyond_coverage: false,
+    }
+}
+
+fn composition(objects: Vec<PlacedObject>) -> Composition {
+    Composition {
+        frame: 0,
+        camera: camera().resized(160, 96),
+        local_from_camera: Rigid::new(forward_from_camera(), DVec3::new(0.5, 0.0, 1.5)),
+        local_from_ego: Rigid::IDENTITY,
+        objects,
+        left_out: Vec::new(),
+        rejections: BTreeMap::new(),
+        insert_shadows: false,
+    }
+}
+
+fn shoot(background: &Field, library: &[&Field], composition: &Composition) -> RenderedFrame {
+    let scene =
+        Scene::of_composition(background, composition, |i| library.get(i).copied()).unwrap();
+    render(&scene, &RenderOptions::default(), &|| false).unwrap()
+}
+
+fn labels(composition: &Composition, frame: &RenderedFrame) -> Vec<FrameLabel> {
+    let region = ValidRegion::unseen(DVec2::ZERO, 0.5, 1, 1);
+    label(composition, &region, frame)
+}
+
+#[test]
+fn labels_are_exactly_the_instance_pixels() {
+    let (background, red) = (background(), car([0.8, 0.1, 0.1], 60.0));
+    let mut parked = placed(3, Origin::Static, None, PARKED_AT.x, PARKED_AT.y);
+    parked.local_from_object = Rigid::from_heading(0.0, PARKED_AT);
+    let composition = composition(vec![
+        placed(1, Origin::Inserted, Some(0), 10.0, 1.0),
+        placed(2, Origin::Inserted, Some(0), 14.0, 3.0),
+        parked,
+    ]);
+    let frame = shoot(&background, &[&red], &composition);
+    let labels = labels(&composition, &frame);
+    assert_eq!(labels.len(), 3);
+    let owned: u32 = labels.iter().map(|l| l.visible_px).sum();
+    let mask = frame.instance.iter().filter(|i| **i != 0).count();
+    assert_eq!(owned as usize, mask);
+    for label in &labels {
+        for (i, instance) in frame.instance.iter().enumerate() {
+            let (x, y) = ((i % 160) as f64, (i / 160) as f64);
+            let inside = x >= label.visible.min.x
+                && y >= label.visible.min.y
+                && x < label.visible.max.x
+                && y < label.visible.max.y;
+            assert!(inside || *instance != label.instance_id, "pixel {x},{y}");
+        }
+        assert!(label.visible_fraction > 0.0 && label.visible_fraction <= 1.0);
+        assert!(label.lidar_points > 0);
+    }
+    assert!(labels[1].visible_fraction < 0.7, "hidden by the first");
+    assert_eq!(labels[1].occluder, 1);
+    assert!(labels[0].visible_fraction > 0.99);
+}
+
+#[test]
+fn a_mask_covers_the_exact_silhouette_at_the_exact_depth() {
+    let (background, red) = (background(), car([0.8, 0.1, 0.1], 200.0));
+    let composition = composition(vec![placed(1, Origin::Inserted, Some(0), 10.0, 0.5)]);
+    let frame = shoot(&background, &[&red], &composition);
+    let camera_from_object =
+        composition.local_from_camera.inverse() * composition.objects[0].local_from_object;
+    let (mut both, mut either, mut depth_error) = (0.0, 0.0, 0.0f64);
+    for (i, instance) in frame.instance.iter().enumerate() {
+        let pixel = DVec2::new((i % 160) as f64 + 0.5, (i / 160) as f64 + 0.5);
+        let exact = entry(&camera_from_object, composition.camera.direction(pixel));
+        let (a, b) = (*instance == 1, exact.is_some());
+        either += f64::from(u8::from(a || b));
+        if let (true, Some(z)) = (a, exact) {
+            both += 1.0;
+            depth_error += (f64::from(frame.depth_z_m[i]) - z).abs();
+        }
+    }
+    assert!(both / either > 0.88, "IoU {}", both / either);
+    assert!(depth_error / both < 0.15, "mean {}", depth_error / both);
+    assert!(both > 300.0);
+    let label = &labels(&composition, &frame)[0];
+    let amodal = label.amodal.unwrap();
+    for p in corners(&camera_from_object, CAR) {
+        let px = composition.camera.project(p).unwrap();
+        assert!(px.cmpge(amodal.min - 1e-9).all() && px.cmple(amodal.max + 1e-9).all());
+    }
+}
+
+/// Camera z at which a ray enters the cuboid.
+fn entry(camera_from_object: &Rigid, direction: DVec3) -> Option<f64> {
+    let inverse = camera_from_object.inverse();
+    let (origin, d) = (inverse.translation_m, inverse.direction(direction));
+    let (a, b) = ((-CAR * 0.5 - origin) / d, (CAR * 0.5 - origin) / d);
+    let (enter, leave) = (a.min(b).max_element(), a.max(b).min_element());
+    (enter < leave && enter > 0.0).then_some(enter * direction.z)
+}
+
+#[test]
+fn an_empty_object_changes_no_pixel_and_gets_no_label() {
+    let (background, nothing) = (background(), car([0.8, 0.1, 0.1], 0.0));
+    let with = composition(vec![placed(1, Origin::Inserted, Some(0), 10.0, 0.5)]);
+    let frame = shoot(&background, &[&nothing], &with);
+    let without = shoot(&background, &[], &composition(Vec::new()));
+    assert_eq!(frame.rgb8, without.rgb8);
+    assert_eq!(frame.depth_z_m, without.depth_z_m);
+    assert_eq!(frame.instance, without.instance);
+    assert_eq!(frame.accumulation, without.accumulation);
+    assert!(labels(&with, &frame).is_empty());
+    let solid = car([0.8, 0.1, 0.1], 60.0);
+    assert_ne!(shoot(&background, &[&solid], &with).rgb8, without.rgb8);
+}
+
+#[test]
+fn the_order_of_objects_changes_nothing() {
+    let background = background();
+    let (red, blue) = (car([0.8, 0.1, 0.1], 3.0), car([0.1, 0.2, 0.8], 3.0));
+    // Overlapping on purpose: their densities add.
+    let mut objects = vec![
+        placed(1, Origin::Inserted, Some(0), 10.0, 0.5),
+        placed(2, Origin::Inserted, Some(1), 11.0, 1.5),
+        placed(3, Origin::Inserted, Some(0), 18.0, -1.0),
+    ];
+    let forward = shoot(&background, &[&red, &blue], &composition(objects.clone()));
+    objects.reverse();
+    let mut backward = shoot(&background, &[&red, &blue], &composition(objects));
+    backward.alone_px.reverse();
+    assert_eq!(forward, backward);
+}
+
+#[test]
+fn nothing_visible_means_no_label() {
+    let (background, red) = (background(), car([0.8, 0.1, 0.1], 60.0));
+    // Behind the wall.
+    let behind = composition(vec![placed(1, Origin::Inserted, Some(0), 28.4, 7.0)]);
+    let frame = shoot(&background, &[&red], &behind);
+    assert!(frame.instance.iter().all(|i| *i == 0));
+    assert!(labels(&behind, &frame).is_empty());
+    assert!(frame.alone_px[0].1 > 0);
+    assert!(frame.hidden_px[&(1, 0)] > 0);
+}
+
+#[test]
+fn an_insert_takes_visibility_from_a_parked_car() {
+    let (background, red) = (background(), car([0.8, 0.1, 0.1], 60.0));
+    let mut parked = placed(1, Origin::Static, None, 0.0, 0.0);
+    parked.local_from_object = Rigid::from_heading(0.0, PARKED_AT);
+    let alone = composition(vec![parked.clone()]);
+    let free = labels(&alone, &shoot(&background, &[], &alone))[0].clone();
+    assert!(
+        free.visible_px > 50 && free.visible_fraction == 1.0,
+        "{free:?}"
+    );
+    let before = composition(vec![
+        parked,
+        placed(2, Origin::Inserted, Some(0), 9.0, -0.9),
+    ]);
+    let frame = shoot(&background, &[&red], &before);
+    let hidden = labels(&before, &frame)
+        .into_iter()
+        .find(|l| l.instance_id == 1);
+    let hidden = hidden.expect("still partly visible");
+    assert!(hidden.visible_fraction < 0.8, "{}", hidden.visible_fraction);
+    assert_eq!(hidden.occluder, 2);
+}
+
+#[test]
+fn haze_in_an_objects_box_goes_and_the_ground_stays() {
+    // Haze of 0.5/m everywhere above the road; the car is solid only in its right half.
+    let (low, high) = (Vec3::new(6.0, -4.0, -1.0), Vec3::new(14.0, 4.0, 2.2));
+    let hazy = solid_field(low, high, 0.2, [0.9, 0.9, 0.1], |p| {
+        if p.z <= 0.0 { 60.0 } else { 0.5 }
+    });
+    let red = car([0.8, 0.1, 0.1], 60.0);
+    let scene = composition(vec![placed(1, Origin::Inserted, Some(0), 10.0, 0.0)]);
+    let frame = shoot(&hazy, &[&red], &scene);
+    let bottom = scene
+        .camera
+        .project(
+            scene
+                .local_from_camera
+                .inverse()
+                .point(DVec3::new(7.2, 0.0, 0.0)),
+        )
+        .unwrap();
+    let ground = (bottom.y as usize) * 160 + bottom.x as usize;
+    assert_eq!(frame.instance[ground], 0);
+    assert!(
+        frame.accumulation[ground] > 0.9,
+        "the road before the car is there"
+    );
+    // Through the box the only light lost is the car's and the haze before it.
+    assert!(frame.alone_px[0].1 > 200);
+}
+
+#[test]
+fn cancelling_stops_and_bad_poses_are_refused() {
+    let background = background();
+    let plain = composition(Vec::new());
+    let scene = Scene::of_composition(&background, &plain, |_| None).unwrap();
+    let stopped = render(&scene, &RenderOptions::default(), &|| true);
+    assert!(matches!(stopped, Err(Error::Cancelled)));
+    let broken = Scene {
+        local_from_camera: Rigid::new(glam::DQuat::IDENTITY, DVec3::NAN),
+        ..scene
+    };
+    let refused = render(&broken, &RenderOptions::default(), &|| false);
+    assert!(matches!(refused, Err(Error::Invalid { .. })));
+    let missing = composition(vec![placed(1, Origin::Inserted, Some(0), 10.0, 0.0)]);
+    assert!(Scene::of_composition(&background, &missing, |_| None).is_err());
+}

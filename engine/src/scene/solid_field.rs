@@ -1,0 +1,65 @@
+//! Fields made of analytic densities, for tests.
+
+use glam::{UVec3, Vec3};
+
+use crate::field::{
+    BRICK_NODES, BRICK_SIDE, ColorMlp, DensityActivation, Field, Lattice, Occupancy, SkyGrid,
+    SkyMap,
+};
+
+/// A field over a box whose nodes hold `sigma` (1/m), of one colour.
+pub(super) fn solid_field(
+    low: Vec3,
+    high: Vec3,
+    voxel_m: f32,
+    rgb: [f32; 3],
+    sigma: impl Fn(Vec3) -> f32,
+) -> Field {
+    let activation = DensityActivation::from_alpha(1e-6, voxel_m);
+    let mut level = Lattice::new(voxel_m, low, high - low).unwrap();
+    let bricks = level.bricks_per_axis();
+    for z in 0..bricks.z as u16 {
+        for y in 0..bricks.y as u16 {
+            for x in 0..bricks.x as u16 {
+                level.allocate([x, y, z]).unwrap();
+            }
+        }
+    }
+    let origins: Vec<Vec3> = (0..level.brick_count())
+        .map(|b| level.brick_origin(level.positions()[b]))
+        .collect();
+    let (density, _) = level.parameters_mut();
+    for (node, raw) in density.iter_mut().enumerate().skip(BRICK_NODES) {
+        let (brick, within) = (node / BRICK_NODES, node % BRICK_NODES);
+        let step = |shift: u32| (within >> shift & (BRICK_SIDE - 1)) as f32;
+        let p = origins[brick] + Vec3::new(step(0), step(3), step(6)) * voxel_m;
+        *raw = activation.raw(sigma(p).max(1e-6));
+    }
+    let mut mlp = ColorMlp::new(16, || 0.5);
+    let bias = mlp.layout().b3();
+    for (parameter, value) in mlp.parameters_mut()[bias].iter_mut().zip(rgb) {
+        *parameter = (value / (1.0 - value)).ln();
+    }
+    Field {
+        bounds_m: (low, high),
+        occupancy: full(voxel_m, low, high),
+        levels: vec![level],
+        activation,
+        mlp,
+        sky: Some(SkyMap::new(vec![SkyGrid::new(8, 4)])),
+        step_growth: 0.0,
+    }
+}
+
+fn full(voxel_m: f32, low: Vec3, high: Vec3) -> Occupancy {
+    let mut occupancy = Occupancy::new(voxel_m, low, high - low).unwrap();
+    let blocks = occupancy.blocks_per_axis();
+    for z in 0..blocks.z {
+        for y in 0..blocks.y {
+            for x in 0..blocks.x {
+                occupancy.set_block(UVec3::new(x, y, z), [u64::MAX; 8], voxel_m * 0.5);
+            }
+        }
+    }
+    occupancy
+}

@@ -1,0 +1,49 @@
+//! What a worker does with a leased job: read the log, decompose it, train, measure, and hand over the assets.
+//!
+//! Everything it reads and writes goes through the worker port; time, progress and cancellation go through the job's control.
+
+mod budget;
+mod control;
+mod error;
+mod gate;
+mod quality;
+
+mod background;
+mod objects;
+
+use super::worker_port::{JobControl, LeasedJob, Outcome, PortError, WorkerPort};
+use crate::domain::blob::BlobRef;
+use crate::domain::drive_log::DriveLog;
+use crate::domain::job::JobKind;
+use crate::ingest::LogBlobs;
+use bytes::Bytes;
+use error::Error;
+
+/// Runs one job to its end; blocks, and returns early once `control.cancelled()`.
+pub fn run(job: &LeasedJob, port: &dyn WorkerPort, control: &JobControl) -> Outcome {
+    let work = || {
+        control::report(control, 0.0, "decode", 0, 0, "reading the log");
+        let manifest = port.read_blob(&job.manifest.digest)?;
+        let log = DriveLog::from_manifest(&manifest)?;
+        match job.spec.kind {
+            JobKind::Background => background::run(job, &log, port, control),
+            JobKind::Objects => objects::run(job, &log, port, control),
+        }
+    };
+    work().map_err(|error: Error| error.into_failure())
+}
+
+/// The port as decomposition reads it.
+struct PortBlobs<'a>(&'a dyn WorkerPort);
+
+impl LogBlobs for PortBlobs<'_> {
+    type Error = PortError;
+
+    fn size_bytes(&self, blob: &BlobRef) -> Result<Option<u64>, PortError> {
+        Ok(Some(self.read(blob)?.len() as u64))
+    }
+
+    fn read(&self, blob: &BlobRef) -> Result<Bytes, PortError> {
+        self.0.read_blob(&blob.digest)
+    }
+}
