@@ -1,0 +1,69 @@
+"""What to make: the recipe of a sequence of samples."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+
+from backlot.v1 import common_pb2, samples_pb2
+
+
+@dataclasses.dataclass(frozen=True)
+class Recipe:
+    """Determines, with a seed, an endless sequence of samples that is addressed by index.
+
+    Attributes:
+        background: `assets/{id}` of a background.
+        library_snapshot: `librarySnapshots/{digest}` to draw objects from; empty means the library when the stream is opened.
+        preset: "DEFAULT", "PAPER" (the paper's jitter; poses beyond the observed views are flagged) or "PAPER_NO_RT" (no jitter).
+        min_objects, max_objects: objects inserted a sample; both 0 means 1 to 3.
+        objects: assets to draw from; empty means every library object.
+        classes: classes to draw from, e.g. ("CAR", "VAN"); empty means all.
+        jitter_x_m, jitter_y_m: maxima in metres, forward and left in the recorded ego frame; None means the preset's.
+        jitter_heading_rad: maximum in radians about the ground's normal; None means the preset's.
+        replace_probability: 0..1, that an original object that can be replaced is.
+        drop_originals: leaves recorded movers out; what was never seen under them is in `Frame.ignore_mask`.
+        insert_shadows: casts shadows of inserted objects.
+        longer_side_px: output size; 0 means as recorded.
+        coverage_slack_rad: radians beyond the observed views; None means the server's default.
+        camera_id: camera to render; empty means the background's first.
+        omit_depth, omit_instance: leaves the image out of the reply.
+        frame_indices: recorded frames whose ego pose may be used; empty means all.
+    """
+
+    background: str
+    library_snapshot: str = ""
+    preset: str = "DEFAULT"
+    min_objects: int = 0
+    max_objects: int = 0
+    objects: tuple[str, ...] = ()
+    classes: tuple[str, ...] = ()
+    jitter_x_m: float | None = None
+    jitter_y_m: float | None = None
+    jitter_heading_rad: float | None = None
+    replace_probability: float = 0.0
+    drop_originals: bool = False
+    insert_shadows: bool = False
+    longer_side_px: int = 0
+    coverage_slack_rad: float | None = None
+    camera_id: str = ""
+    omit_depth: bool = False
+    omit_instance: bool = False
+    frame_indices: tuple[int, ...] = ()
+
+    def pinned(self, library_snapshot: str) -> Recipe:
+        """The same recipe over a fixed snapshot, so that a growing library does not change its samples."""
+        return dataclasses.replace(self, library_snapshot=library_snapshot)
+
+    def to_proto(self) -> samples_pb2.Recipe:
+        """The wire form; ValueError names an unknown preset or class."""
+        fields = dataclasses.asdict(self)
+        fields["preset"] = samples_pb2.PlacementPreset.Value(f"PLACEMENT_PRESET_{self.preset}")
+        fields["classes"] = [common_pb2.ObjectClass.Value(f"OBJECT_CLASS_{name}") for name in self.classes]
+        return samples_pb2.Recipe(**fields)
+
+    def fingerprint(self) -> str:
+        """32 hexadecimal digits that change with any field."""
+        canonical = json.dumps(dataclasses.asdict(self), sort_keys=True)
+        return hashlib.blake2b(canonical.encode(), digest_size=16).hexdigest()
