@@ -1,5 +1,7 @@
 //! Logging to standard error. `BACKLOT_LOG` filters it, e.g. `backlot_server=debug`; `BACKLOT_LOG_FORMAT=json` makes it JSON.
 
+use std::io::IsTerminal;
+
 use tracing_subscriber::EnvFilter;
 
 /// Levels without `BACKLOT_LOG`: what an operator wants to see. sled and the HTTP/2 stack say nothing of use at `info`.
@@ -11,6 +13,7 @@ pub fn init() {
         EnvFilter::try_from_env("BACKLOT_LOG").unwrap_or_else(|_| EnvFilter::new(DEFAULT_FILTER));
     let builder = tracing_subscriber::fmt()
         .with_env_filter(filter)
+        .with_ansi(std::io::stderr().is_terminal())
         .with_writer(std::io::stderr);
     let json = std::env::var("BACKLOT_LOG_FORMAT").is_ok_and(|format| format == "json");
     // An embedding program may have its own subscriber; that one stays.

@@ -1,7 +1,7 @@
 //! All that a worker may touch. In-process workers use it too, so that workers can later move to other machines.
 
-use std::sync::{Mutex, OnceLock};
-use std::time::Instant;
+use std::sync::{Condvar, Mutex, MutexGuard, OnceLock};
+use std::time::{Duration, Instant};
 
 use bytes::Bytes;
 
@@ -95,27 +95,42 @@ pub enum StopCause {
 #[derive(Debug)]
 pub struct JobControl {
     started: Instant,
-    progress: Mutex<Progress>,
+    shown: Mutex<Shown>,
+    /// Signalled when the stage changed or the work ended.
+    due: Condvar,
     stop: OnceLock<StopCause>,
+}
+
+#[derive(Debug, Default)]
+struct Shown {
+    progress: Progress,
+    is_new_stage: bool,
+    ended: bool,
 }
 
 impl JobControl {
     pub fn new() -> Self {
         Self {
             started: Instant::now(),
-            progress: Mutex::default(),
+            shown: Mutex::default(),
+            due: Condvar::new(),
             stop: OnceLock::new(),
         }
     }
 
-    /// Replaces the progress that watchers see.
+    /// Replaces the progress that watchers see; a new stage is sent on at once, the rest with the next heartbeat.
     pub fn report(&self, progress: Progress) {
-        *self.progress.lock().expect("no panic while held") = progress;
+        let mut shown = self.lock();
+        shown.is_new_stage |= shown.progress.stage != progress.stage;
+        shown.progress = progress;
+        if shown.is_new_stage {
+            self.due.notify_all();
+        }
     }
 
     /// The latest progress.
     pub fn progress(&self) -> Progress {
-        self.progress.lock().expect("no panic while held").clone()
+        self.lock().progress.clone()
     }
 
     /// True once the job was cancelled, its lease lost or the server is shutting down.
@@ -135,6 +150,28 @@ impl JobControl {
     /// Seconds since the attempt began.
     pub fn elapsed_s(&self) -> f64 {
         self.started.elapsed().as_secs_f64()
+    }
+
+    /// Waits for a new stage, at most `pulse`; the progress to send, or `None` once the work has ended.
+    pub(super) fn next_beat(&self, pulse: Duration) -> Option<Progress> {
+        let (mut shown, _) = self
+            .due
+            .wait_timeout_while(self.lock(), pulse, |shown| {
+                !shown.is_new_stage && !shown.ended
+            })
+            .expect("no panic while held");
+        shown.is_new_stage = false;
+        (!shown.ended).then(|| shown.progress.clone())
+    }
+
+    /// Ends the heartbeats.
+    pub(super) fn end(&self) {
+        self.lock().ended = true;
+        self.due.notify_all();
+    }
+
+    fn lock(&self) -> MutexGuard<'_, Shown> {
+        self.shown.lock().expect("no panic while held")
     }
 }
 

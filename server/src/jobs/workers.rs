@@ -3,7 +3,6 @@
 
 use std::any::Any;
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
 use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
@@ -152,11 +151,7 @@ impl Shared {
         };
         tracing::info!(kind = ?job.spec.kind, drive_log = %job.drive_log, "began");
         std::thread::scope(|scope| {
-            let (done, ended) = channel::<()>();
-            let pulse = {
-                let (control, span) = (control.clone(), span.clone());
-                move || span.in_scope(|| beat(job, port, &control, &ended))
-            };
+            let pulse = || span.in_scope(|| beat(job, port, &control));
             if let Err(error) = std::thread::Builder::new()
                 .name("job-pulse".into())
                 .spawn_scoped(scope, pulse)
@@ -166,7 +161,7 @@ impl Shared {
             let outcome = catch_unwind(AssertUnwindSafe(|| execute(job, port, &control)))
                 .unwrap_or_else(|panic| Err(panicked(&*panic)));
             self.conclude(job, port, &control, outcome);
-            drop(done);
+            control.end();
         });
         self.lock()
             .running
@@ -239,9 +234,9 @@ impl Shared {
 }
 
 /// Heartbeats until the job ended.
-fn beat(job: &LeasedJob, port: &dyn WorkerPort, control: &JobControl, ended: &Receiver<()>) {
-    while ended.recv_timeout(PULSE) == Err(RecvTimeoutError::Timeout) {
-        match port.heartbeat(&job.lease, &control.progress()) {
+fn beat(job: &LeasedJob, port: &dyn WorkerPort, control: &JobControl) {
+    while let Some(progress) = control.next_beat(PULSE) {
+        match port.heartbeat(&job.lease, &progress) {
             Ok(Directive::Continue) => {}
             Ok(Directive::Cancel) => control.stop(StopCause::Cancelled),
             Ok(Directive::Lost) => {

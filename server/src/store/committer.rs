@@ -9,9 +9,9 @@ use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::sync::{Arc, Mutex, OnceLock};
 use std::thread::JoinHandle;
 
-use super::error::{Error, Result};
-use super::index::{Index, unused_name};
-use super::journal::{Journal, Tail};
+use super::error::{Error, IoContext, Result};
+use super::index::{Index, Opened, unused_name};
+use super::journal::{self, Journal, Replay, Tail};
 use super::metadata::Metadata;
 use super::space::Space;
 use super::txn::{Change, Precondition, Txn};
@@ -117,33 +117,12 @@ fn open_consistently(folder: &Path) -> Result<(Journal, Index)> {
     let path = folder.join(JOURNAL);
     let replay = Journal::replay(&path)?;
     let index_folder = folder.join(INDEX);
-    let (opened, was_damaged) = match Index::open(&index_folder)? {
-        Some(opened) => (opened, false),
-        None => (Index::create(&index_folder)?, true),
+    let opened = match Index::open(&index_folder)? {
+        Some(opened) => opened,
+        None => Index::create(&index_folder)?,
     };
-    let journal_is_short = replay.tail == Tail::Damaged || opened.applied_seq > replay.last_seq;
-    if journal_is_short && (was_damaged || opened.applied_seq < replay.last_seq) {
-        return Err(Error::corrupt(format!(
-            "the journal {} (after entry {}) and the index beside it",
-            path.display(),
-            replay.last_seq
-        )));
-    }
-    if journal_is_short {
-        let aside = unused_name(&path, "damaged");
-        if path.exists() {
-            std::fs::copy(&path, &aside).map_err(|source| Error::Io {
-                verb: "copy",
-                path: path.clone(),
-                source,
-            })?;
-        }
-        tracing::error!(
-            kept = %aside.display(), intact_entries = replay.last_seq, index = opened.applied_seq,
-            "the journal is damaged; it was written anew from the index"
-        );
-        let journal = Journal::checkpoint(&path, &opened.content, opened.applied_seq)?;
-        return Ok((journal, opened.index));
+    if replay.tail == Tail::Damaged || opened.applied_seq > replay.last_seq {
+        return rewrite_journal(&path, replay, opened);
     }
     if replay.tail == Tail::Torn {
         tracing::info!("cut an unfinished transaction off the journal");
@@ -158,6 +137,44 @@ fn open_consistently(folder: &Path) -> Result<(Journal, Index)> {
             "brought the metadata index up to the journal"
         );
     }
+    Ok((journal, opened.index))
+}
+
+/// Saves a journal that lost entries from an index that has them, and from its own entries behind the damage.
+fn rewrite_journal(path: &Path, replay: Replay, opened: Opened) -> Result<(Journal, Index)> {
+    let both_damaged = || {
+        Error::corrupt(format!(
+            "the journal {} (after entry {}), and the index beside it (entry {}) cannot replace it; both were kept: the store",
+            path.display(),
+            replay.last_seq,
+            opened.applied_seq
+        ))
+    };
+    // An index that holds no more than the undamaged part knows nothing of the damaged one.
+    if opened.applied_seq <= replay.last_seq {
+        return Err(both_damaged());
+    }
+    let mut state = opened.content.clone();
+    let mut seq = opened.applied_seq;
+    for (later, changes) in &replay.behind_damage {
+        if *later > seq + 1 {
+            return Err(both_damaged());
+        }
+        if *later == seq + 1 {
+            journal::apply(&mut state, changes.iter().cloned());
+            seq = *later;
+        }
+    }
+    let aside = unused_name(path, "damaged");
+    if path.exists() {
+        std::fs::copy(path, &aside).at("copy", path)?;
+    }
+    tracing::error!(
+        kept = %aside.display(), intact_entries = replay.last_seq, index = opened.applied_seq,
+        "the journal is damaged; it was written anew from the index"
+    );
+    let journal = Journal::checkpoint(path, &state, seq)?;
+    opened.index.repair(&opened.content, &state, seq)?;
     Ok((journal, opened.index))
 }
 
@@ -313,3 +330,7 @@ fn same_failure(error: &Error) -> Error {
         other => poisoned(&other.to_string()),
     }
 }
+
+#[cfg(test)]
+#[path = "committer_tests.rs"]
+mod tests;

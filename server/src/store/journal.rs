@@ -38,6 +38,8 @@ pub(super) struct Replay {
     /// Length of the undamaged beginning.
     pub(super) good_bytes: u64,
     pub(super) tail: Tail,
+    /// Whole entries behind the damage, in order.
+    pub(super) behind_damage: Vec<(u64, Vec<Change>)>,
 }
 
 /// The open journal, positioned at its end.
@@ -176,6 +178,7 @@ fn replay(bytes: &[u8]) -> Replay {
         last_seq: 0,
         good_bytes: 0,
         tail: Tail::Clean,
+        behind_damage: Vec::new(),
     };
     let mut offset = 0;
     while offset < bytes.len() {
@@ -184,18 +187,14 @@ fn replay(bytes: &[u8]) -> Replay {
         // The first entry may be a checkpoint of any sequence; the others follow each other.
         let expected = |seq: u64| out.last_seq == 0 && offset == 0 || seq == out.last_seq + 1;
         let Some((seq, length, changes)) = entry.filter(|(seq, ..)| expected(*seq)) else {
-            out.tail = match has_whole_entry(&bytes[offset + 1..]) {
-                true => Tail::Damaged,
-                false => Tail::Torn,
+            out.behind_damage = whole_entries(&bytes[offset + 1..]);
+            out.tail = match out.behind_damage.is_empty() {
+                true => Tail::Torn,
+                false => Tail::Damaged,
             };
             break;
         };
-        for change in changes {
-            match change {
-                Change::Put { key, value } => out.state.insert(key, value),
-                Change::Delete { key } => out.state.remove(&key),
-            };
-        }
+        apply(&mut out.state, changes);
         offset += HEADER_BYTES + length;
         out.last_seq = seq;
         out.good_bytes = offset as u64;
@@ -203,12 +202,32 @@ fn replay(bytes: &[u8]) -> Replay {
     out
 }
 
-fn has_whole_entry(bytes: &[u8]) -> bool {
-    bytes
-        .windows(MAGIC.len())
-        .enumerate()
-        .filter(|(_, window)| *window == MAGIC)
-        .any(|(offset, _)| decode_entry(&bytes[offset..]).is_some())
+/// Entries found by their magic and checksum.
+fn whole_entries(bytes: &[u8]) -> Vec<(u64, Vec<Change>)> {
+    let mut found = Vec::new();
+    let mut offset = 0;
+    while offset < bytes.len() {
+        let entry = decode_entry(&bytes[offset..])
+            .and_then(|(seq, payload)| Some((seq, payload.len(), decode_changes(payload)?)));
+        offset += match entry {
+            Some((seq, length, changes)) => {
+                found.push((seq, changes));
+                HEADER_BYTES + length
+            }
+            None => 1,
+        };
+    }
+    found
+}
+
+/// Makes the changes in order.
+pub(super) fn apply(state: &mut State, changes: impl IntoIterator<Item = Change>) {
+    for change in changes {
+        match change {
+            Change::Put { key, value } => state.insert(key, value),
+            Change::Delete { key } => state.remove(&key),
+        };
+    }
 }
 
 /// Makes the name of a file as durable as its content.

@@ -22,6 +22,8 @@ mod metadata;
 mod upload;
 
 mod blobs;
+#[cfg(test)]
+mod blobs_tests;
 
 mod library;
 
