@@ -1,6 +1,6 @@
 //! Bounding volume hierarchy over a triangle mesh: nearest hit and occlusion.
 
-use glam::{Vec3, Vec3A};
+use glam::{Vec3, Vec4};
 
 use super::mesh::Triangle;
 
@@ -26,64 +26,66 @@ pub(super) struct MeshHit {
     pub(super) b2: f32,
 }
 
-/// An indexed mesh ready for tracing.
+/// A mesh ready for tracing: a four-wide tree over packs of four triangles.
 #[derive(Debug)]
 pub(super) struct Mesh {
     pub(super) triangles: Vec<Triangle>,
-    edges: Vec<[Vec3A; 3]>,
     nodes: Vec<Node>,
+    packs: Vec<Pack>,
+}
+
+/// Boxes of four children, one lane each.
+#[derive(Clone, Copy, Debug)]
+struct Node {
+    min: [Vec4; 3],
+    max: [Vec4; 3],
+    children: [Child; 4],
 }
 
 #[derive(Clone, Copy, Debug)]
-struct Node {
-    min: Vec3A,
-    max: Vec3A,
-    /// First triangle of a leaf, or index of the right child; the left child follows its parent.
-    first: u32,
-    /// Triangles of a leaf; 0 for an inner node.
-    count: u32,
-    axis: u32,
+enum Child {
+    None,
+    Node(u32),
+    /// Index of a pack.
+    Leaf(u32),
 }
 
-/// Small leaves: a triangle test costs about as much as two box tests.
-const LEAF_TRIANGLES: usize = 3;
+/// Corners and edges of up to four triangles; unused lanes are degenerate.
+#[derive(Clone, Copy, Debug)]
+struct Pack {
+    corner: [Vec4; 3],
+    e1: [Vec4; 3],
+    e2: [Vec4; 3],
+    first: u32,
+}
+
+/// Lanes of a pack.
+const LANES: usize = 4;
 const BINS: usize = 12;
-/// Deeper than any tree over 2^32 triangles that splits by bins or by halves.
-const STACK: usize = 64;
+/// Three entries a level of a tree that is less than 40 levels deep; checked when it is built.
+const STACK: usize = 3 * MAX_DEPTH + 1;
+const MAX_DEPTH: usize = 40;
 
 impl Mesh {
     /// Builds the hierarchy with binned surface-area splits.
     pub(super) fn new(mut triangles: Vec<Triangle>) -> Self {
         assert!(!triangles.is_empty(), "a mesh needs triangles");
-        let mut nodes = Vec::with_capacity(triangles.len());
-        build(&mut triangles, 0, &mut nodes);
-        let edges = triangles
-            .iter()
-            .map(|t| {
-                let [a, b, c] = t.corners.map(Vec3A::from);
-                [a, b - a, c - a]
-            })
-            .collect();
-        Self {
-            triangles,
-            edges,
-            nodes,
-        }
+        let mut mesh = Self {
+            triangles: Vec::new(),
+            nodes: Vec::new(),
+            packs: Vec::new(),
+        };
+        mesh.add_node(&mut triangles, 0, 0);
+        mesh.triangles = triangles;
+        mesh
     }
 
     /// The nearest hit with `0 < t < t_max`.
     pub(super) fn nearest(&self, ray: &Ray, t_max: f32) -> Option<MeshHit> {
         let mut best: Option<MeshHit> = None;
-        let mut limit = t_max;
-        self.visit(ray, t_max, |triangle, t, b1, b2| {
-            limit = t;
-            best = Some(MeshHit {
-                t,
-                triangle,
-                b1,
-                b2,
-            });
-            Some(limit)
+        self.visit(ray, t_max, |hit| {
+            best = Some(hit);
+            Some(hit.t)
         });
         best
     }
@@ -91,107 +93,212 @@ impl Mesh {
     /// Whether anything lies on the ray with `0 < t < t_max`.
     pub(super) fn occludes(&self, ray: &Ray, t_max: f32) -> bool {
         let mut found = false;
-        self.visit(ray, t_max, |_, _, _, _| {
+        self.visit(ray, t_max, |_| {
             found = true;
             None
         });
         found
     }
 
-    /// Calls `hit` for each triangle hit before the current limit; it returns the new limit or `None` to stop.
-    fn visit(&self, ray: &Ray, t_max: f32, mut hit: impl FnMut(u32, f32, f32, f32) -> Option<f32>) {
-        let origin = Vec3A::from(ray.origin);
-        let direction = Vec3A::from(ray.direction);
-        let inverse = direction.recip();
-        let behind = [inverse.x < 0.0, inverse.y < 0.0, inverse.z < 0.0];
+    /// Calls `hit` for hits before the current limit; it returns the new limit or `None` to stop.
+    fn visit(&self, ray: &Ray, t_max: f32, mut hit: impl FnMut(MeshHit) -> Option<f32>) {
+        let lanes = RayLanes::new(ray);
         let mut limit = t_max;
-        let mut stack = [0_u32; STACK];
+        let mut stack = [(Child::None, 0.0_f32); STACK];
+        stack[0] = (Child::Node(0), 0.0);
         let mut depth = 1;
         while depth > 0 {
             depth -= 1;
-            let index = stack[depth];
-            let node = &self.nodes[index as usize];
-            if !slab(node, origin, inverse, limit) {
+            let (child, near) = stack[depth];
+            if near > limit {
                 continue;
             }
-            if node.count == 0 {
-                let (left, right) = (index + 1, node.first);
-                let far_first = behind[node.axis as usize];
-                stack[depth] = if far_first { left } else { right };
-                stack[depth + 1] = if far_first { right } else { left };
-                depth += 2;
-                continue;
-            }
-            for triangle in node.first..node.first + node.count {
-                if let Some((t, b1, b2)) =
-                    meet(&self.edges[triangle as usize], origin, direction, limit)
-                {
-                    match hit(triangle, t, b1, b2) {
-                        Some(new_limit) => limit = new_limit,
-                        None => return,
+            match child {
+                Child::None => {}
+                Child::Node(index) => {
+                    depth =
+                        self.nodes[index as usize].push_children(&lanes, limit, &mut stack, depth);
+                }
+                Child::Leaf(index) => {
+                    if let Some(found) = self.packs[index as usize].meet(&lanes, limit) {
+                        match hit(found) {
+                            Some(new_limit) => limit = new_limit,
+                            None => return,
+                        }
                     }
                 }
             }
         }
     }
+
+    /// Adds a node for some of the triangles, the first of which has index `first`, and returns its index.
+    fn add_node(&mut self, triangles: &mut [Triangle], first: usize, depth: usize) -> u32 {
+        assert!(depth < MAX_DEPTH, "a tree of {depth} levels");
+        let index = self.nodes.len();
+        self.nodes.push(Node::EMPTY);
+        let half = split(triangles);
+        let (left, right) = triangles.split_at_mut(half);
+        let quarters = [split(left), half, half + split(right)];
+        let bounds_of = [0, quarters[0], quarters[1], quarters[2], triangles.len()];
+        for lane in 0..4 {
+            let part = &mut triangles[bounds_of[lane]..bounds_of[lane + 1]];
+            if part.is_empty() {
+                continue;
+            }
+            let (min, max) = bounds(part);
+            let offset = first + bounds_of[lane];
+            let child = if part.len() <= LANES {
+                self.packs.push(Pack::new(part, offset as u32));
+                Child::Leaf(self.packs.len() as u32 - 1)
+            } else {
+                Child::Node(self.add_node(part, offset, depth + 1))
+            };
+            self.nodes[index].set(lane, min, max, child);
+        }
+        index as u32
+    }
 }
 
-fn slab(node: &Node, origin: Vec3A, inverse: Vec3A, limit: f32) -> bool {
-    let a = (node.min - origin) * inverse;
-    let b = (node.max - origin) * inverse;
-    let near = a.min(b).max_element().max(0.0);
-    let far = a.max(b).min_element().min(limit);
-    near <= far
+/// A ray spread over four lanes.
+struct RayLanes {
+    origin: [Vec4; 3],
+    direction: [Vec4; 3],
+    inverse: [Vec4; 3],
 }
 
-/// Moeller and Trumbore 1997, both sides of the triangle.
-fn meet(
-    edges: &[Vec3A; 3],
-    origin: Vec3A,
-    direction: Vec3A,
-    limit: f32,
-) -> Option<(f32, f32, f32)> {
-    let [corner, e1, e2] = *edges;
-    let p = direction.cross(e2);
-    let determinant = e1.dot(p);
-    if determinant.abs() < 1e-12 {
-        return None;
+impl RayLanes {
+    fn new(ray: &Ray) -> Self {
+        let spread = |v: Vec3| v.to_array().map(Vec4::splat);
+        Self {
+            origin: spread(ray.origin),
+            direction: spread(ray.direction),
+            inverse: spread(ray.direction.recip()),
+        }
     }
-    let inverse = 1.0 / determinant;
-    let s = origin - corner;
-    let b1 = s.dot(p) * inverse;
-    if !(-1e-6..=1.0 + 1e-6).contains(&b1) {
-        return None;
-    }
-    let q = s.cross(e1);
-    let b2 = direction.dot(q) * inverse;
-    if b2 < -1e-6 || b1 + b2 > 1.0 + 2e-6 {
-        return None;
-    }
-    let t = e2.dot(q) * inverse;
-    (t > 0.0 && t < limit).then_some((t, b1, b2))
 }
 
-fn build(triangles: &mut [Triangle], first: usize, nodes: &mut Vec<Node>) {
-    let (min, max) = bounds(triangles);
-    let index = nodes.len();
-    nodes.push(Node {
-        min: min.into(),
-        max: max.into(),
-        first: first as u32,
-        count: triangles.len() as u32,
-        axis: 0,
-    });
-    if triangles.len() <= LEAF_TRIANGLES {
-        return;
+impl Node {
+    const EMPTY: Self = Self {
+        min: [Vec4::INFINITY; 3],
+        max: [Vec4::NEG_INFINITY; 3],
+        children: [Child::None; 4],
+    };
+
+    fn set(&mut self, lane: usize, min: Vec3, max: Vec3, child: Child) {
+        for axis in 0..3 {
+            self.min[axis][lane] = min[axis];
+            self.max[axis][lane] = max[axis];
+        }
+        self.children[lane] = child;
     }
-    let (axis, middle) = split(triangles);
-    let (left, right) = triangles.split_at_mut(middle);
-    build(left, first, nodes);
-    nodes[index].first = nodes.len() as u32;
-    nodes[index].count = 0;
-    nodes[index].axis = axis as u32;
-    build(right, first + middle, nodes);
+
+    /// Pushes the children that the ray enters before `limit`, the nearest on top, and returns the new depth.
+    #[inline]
+    fn push_children(
+        &self,
+        ray: &RayLanes,
+        limit: f32,
+        stack: &mut [(Child, f32); STACK],
+        mut depth: usize,
+    ) -> usize {
+        let mut near = Vec4::ZERO;
+        let mut far = Vec4::splat(limit);
+        for axis in 0..3 {
+            let a = (self.min[axis] - ray.origin[axis]) * ray.inverse[axis];
+            let b = (self.max[axis] - ray.origin[axis]) * ray.inverse[axis];
+            near = near.max(a.min(b));
+            far = far.min(a.max(b));
+        }
+        let mut hits = near.cmple(far).bitmask();
+        let bottom = depth;
+        let near = near.to_array();
+        while hits != 0 {
+            let lane = hits.trailing_zeros() as usize;
+            hits &= hits - 1;
+            let entry = (self.children[lane], near[lane]);
+            let mut slot = depth;
+            while slot > bottom && stack[slot - 1].1 < entry.1 {
+                stack[slot] = stack[slot - 1];
+                slot -= 1;
+            }
+            stack[slot] = entry;
+            depth += 1;
+        }
+        depth
+    }
+}
+
+impl Pack {
+    fn new(triangles: &[Triangle], first: u32) -> Self {
+        let zero = [Vec4::ZERO; 3];
+        let mut pack = Self {
+            corner: zero,
+            e1: zero,
+            e2: zero,
+            first,
+        };
+        for (lane, triangle) in triangles.iter().enumerate() {
+            let [a, b, c] = triangle.corners;
+            for axis in 0..3 {
+                pack.corner[axis][lane] = a[axis];
+                pack.e1[axis][lane] = b[axis] - a[axis];
+                pack.e2[axis][lane] = c[axis] - a[axis];
+            }
+        }
+        pack
+    }
+
+    /// Nearest hit in 0 < t < limit (Moeller and Trumbore 1997, both sides, four triangles at once).
+    #[inline]
+    fn meet(&self, ray: &RayLanes, limit: f32) -> Option<MeshHit> {
+        /// Hits this far outside an edge count, so that no ray slips between neighbours.
+        const SLACK: f32 = 1e-6;
+        let p = cross(&ray.direction, &self.e2);
+        let determinant = dot(&self.e1, &p);
+        let inverse = determinant.recip();
+        let s = [
+            ray.origin[0] - self.corner[0],
+            ray.origin[1] - self.corner[1],
+            ray.origin[2] - self.corner[2],
+        ];
+        let b1 = dot(&s, &p) * inverse;
+        let q = cross(&s, &self.e1);
+        let b2 = dot(&ray.direction, &q) * inverse;
+        let t = dot(&self.e2, &q) * inverse;
+        // A degenerate lane has an infinite inverse and NaN weights, which fail every comparison.
+        let inside = b1.cmpge(Vec4::splat(-SLACK))
+            & b2.cmpge(Vec4::splat(-SLACK))
+            & (b1 + b2).cmple(Vec4::splat(1.0 + SLACK))
+            & t.cmpgt(Vec4::ZERO)
+            & t.cmplt(Vec4::splat(limit));
+        let mut hits = inside.bitmask();
+        let mut best: Option<MeshHit> = None;
+        while hits != 0 {
+            let lane = hits.trailing_zeros() as usize;
+            hits &= hits - 1;
+            if best.is_none_or(|b| t[lane] < b.t) {
+                best = Some(MeshHit {
+                    t: t[lane],
+                    triangle: self.first + lane as u32,
+                    b1: b1[lane],
+                    b2: b2[lane],
+                });
+            }
+        }
+        best
+    }
+}
+
+fn cross(a: &[Vec4; 3], b: &[Vec4; 3]) -> [Vec4; 3] {
+    [
+        a[1] * b[2] - a[2] * b[1],
+        a[2] * b[0] - a[0] * b[2],
+        a[0] * b[1] - a[1] * b[0],
+    ]
+}
+
+fn dot(a: &[Vec4; 3], b: &[Vec4; 3]) -> Vec4 {
+    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }
 
 fn centroid(triangle: &Triangle) -> Vec3 {
@@ -208,8 +315,11 @@ fn bounds(triangles: &[Triangle]) -> (Vec3, Vec3) {
     (min, max)
 }
 
-/// Reorders the triangles around the cheapest of the binned planes and returns the axis and the number on the left.
-fn split(triangles: &mut [Triangle]) -> (usize, usize) {
+/// Reorders the triangles around the cheapest of the binned planes and returns the number on the left.
+fn split(triangles: &mut [Triangle]) -> usize {
+    if triangles.len() <= LANES {
+        return triangles.len();
+    }
     let mut low = Vec3::INFINITY;
     let mut high = Vec3::NEG_INFINITY;
     for c in triangles.iter().map(centroid) {
@@ -224,10 +334,10 @@ fn split(triangles: &mut [Triangle]) -> (usize, usize) {
         let cut = cheapest_cut(triangles, bin);
         let middle = partition(triangles, |t| bin(t) < cut);
         if middle > 0 && middle < triangles.len() {
-            return (axis, middle);
+            return middle;
         }
     }
-    (axis, triangles.len() / 2)
+    triangles.len() / 2
 }
 
 fn cheapest_cut(triangles: &[Triangle], bin: impl Fn(&Triangle) -> usize) -> usize {

@@ -82,7 +82,7 @@ impl Default for StreetConfig {
             ego_speed_m_s: 12.0,
             parked_cars: 9,
             moving_cars: 3,
-            supersample: 3,
+            supersample: 2,
             mask_edge_noise: 0.0,
             pose_noise: PoseNoise::default(),
             lidar: LidarConfig::default(),

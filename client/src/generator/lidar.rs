@@ -1,4 +1,4 @@
-//! The scanner: sweeps of ranges with noise, motion-compensated to the sweep's time.
+//! The scanner: sweeps of ranges with noise, each point with its own time.
 
 use glam::DVec3;
 use rayon::prelude::*;
@@ -20,7 +20,7 @@ const LOST_ON_GLASS: f32 = 0.6;
 /// One return of a sweep.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LidarPoint {
-    /// LiDAR frame at the sweep's timestamp, metres.
+    /// LiDAR frame at the time of the point, metres.
     pub position_m: [f32; 3],
     /// 0..1.
     pub intensity: f32,
@@ -46,19 +46,16 @@ impl StreetWorld {
 
     /// The returns of one turn of the scanner that starts at the left end of its sector at `timestamp_ns`.
     ///
-    /// Each column of beams sees the cars and the ego pose at its own time; the points are then expressed in the scanner's frame at
-    /// `timestamp_ns`. `sweep` numbers the noise.
+    /// Each column of beams sees the cars from the ego pose of its own time. `sweep` numbers the noise.
     ///
     /// # Errors
     /// Those of rendering.
     pub fn scan(&self, timestamp_ns: i64, sweep: u32) -> Result<Vec<LidarPoint>, Error> {
         let lidar = self.config.lidar;
         let columns = (2.0 * lidar.half_sector_rad / lidar.azimuth_step_rad).floor() as u32;
-        let lidar_from_world =
-            (self.world_from_ego(timestamp_ns) * self.ego_from_lidar()).inverse();
         let scanned: Vec<Vec<LidarPoint>> = (0..columns)
             .into_par_iter()
-            .map(|column| self.scan_column(timestamp_ns, sweep, column, &lidar_from_world))
+            .map(|column| self.scan_column(timestamp_ns, sweep, column))
             .collect::<Result<_, Error>>()?;
         Ok(scanned.concat())
     }
@@ -68,7 +65,6 @@ impl StreetWorld {
         timestamp_ns: i64,
         sweep: u32,
         column: u32,
-        lidar_from_world: &Rigid,
     ) -> Result<Vec<LidarPoint>, Error> {
         let lidar = self.config.lidar;
         let turned = f64::from(column) * lidar.azimuth_step_rad;
@@ -101,9 +97,8 @@ impl StreetWorld {
                 continue;
             }
             let range_m = f64::from(hit.t) + lidar.range_noise_m * gaussian(index, stream, 1);
-            let p_world = world_from_lidar.point(direction * range_m);
             points.push(LidarPoint {
-                position_m: lidar_from_world.point(p_world).as_vec3().to_array(),
+                position_m: (direction * range_m).as_vec3().to_array(),
                 intensity,
                 time_s: time_s as f32,
             });

@@ -192,7 +192,7 @@ impl StreetWorld {
                 config.seed
             ),
             format!(
-                "lidar: {} beams in the forward sector of +-{:.0} degrees, range noise {} m, compensated for ego motion to each sweep's time",
+                "lidar: {} beams in the forward sector of +-{:.0} degrees, range noise {} m, every point at its own time",
                 config.lidar.beams,
                 config.lidar.half_sector_rad.to_degrees(),
                 config.lidar.range_noise_m

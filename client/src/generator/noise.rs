@@ -27,12 +27,18 @@ pub(super) fn gaussian(a: u32, b: u32, stream: u32) -> f64 {
     (-2.0 * libm::log(u1)).sqrt() * libm::cos(std::f64::consts::TAU * u2)
 }
 
+/// Largest integer not above `x`; several times faster than `f32::floor` where the baseline CPU has no instruction for it.
+pub(super) fn floor(x: f32) -> i32 {
+    let truncated = x as i32;
+    truncated - i32::from(x < truncated as f32)
+}
+
 /// Smooth value noise in [-1, 1] with features of size 1.
 pub(super) fn value(p: Vec2, seed: u32) -> f32 {
-    let cell = p.floor();
-    let f = p - cell;
+    let (i, j) = (floor(p.x), floor(p.y));
+    let f = p - Vec2::new(i as f32, j as f32);
     let s = f * f * f * (f * (f * 6.0 - 15.0) + 10.0);
-    let (i, j) = (cell.x as i32 as u32, cell.y as i32 as u32);
+    let (i, j) = (i as u32, j as u32);
     let n = |di: u32, dj: u32| unit(i.wrapping_add(di), j.wrapping_add(dj), seed);
     let low = n(0, 0) + (n(1, 0) - n(0, 0)) * s.x;
     let high = n(0, 1) + (n(1, 1) - n(0, 1)) * s.x;
@@ -70,6 +76,9 @@ pub(super) fn stripe(x: f32, low: f32, high: f32, width: f32) -> f32 {
 /// Share of the interval of `width` around `x` covered by stripes [0, duty] repeated with period 1.
 pub(super) fn stripes(x: f32, duty: f32, width: f32) -> f32 {
     let w = width.max(1e-5);
-    let integral = |t: f32| t.floor() * duty + (t - t.floor()).min(duty);
+    let integral = |t: f32| {
+        let whole = floor(t) as f32;
+        whole * duty + (t - whole).min(duty)
+    };
     ((integral(x + 0.5 * w) - integral(x - 0.5 * w)) / w).clamp(0.0, 1.0)
 }

@@ -46,7 +46,7 @@ pub struct RenderOptions {
 impl Default for RenderOptions {
     fn default() -> Self {
         Self {
-            supersample: 3,
+            supersample: 2,
             shadow_casters: ShadowCasters::All,
         }
     }
@@ -171,7 +171,7 @@ fn folded(a: &Centre, b: &Centre) -> bool {
     !ground && near.is_finite() && (a.depth_z_m - b.depth_z_m).abs() > DEPTH_EDGE * near + 0.15
 }
 
-/// Mean of a regular grid of samples, developed before averaging so that bright edges stay smooth.
+/// Mean of samples that fall into different rows and columns of the pixel, developed first so that bright edges stay smooth.
 fn antialiased(
     scene: &Scene<'_>,
     view: &View,
@@ -180,12 +180,13 @@ fn antialiased(
     supersample: u32,
     seed: u32,
 ) -> Vec3 {
-    let step = 1.0 / f64::from(supersample);
+    let n = f64::from(supersample);
     let mut sum = Vec3::ZERO;
     for j in 0..supersample {
         for i in 0..supersample {
-            let offset = DVec2::new((f64::from(i) + 0.5) * step, (f64::from(j) + 0.5) * step);
-            let pixel = pixel_ray(view, DVec2::new(x as f64, y as f64) + offset, step);
+            let (i, j) = (f64::from(i), f64::from(j));
+            let offset = DVec2::new(i + (j + 0.5) / n, j + (n - i - 0.5) / n) / n;
+            let pixel = pixel_ray(view, DVec2::new(x as f64, y as f64) + offset, 1.0 / n);
             let hit = scene.nearest(&pixel.ray);
             sum += develop(shade(scene, &pixel, hit.as_ref(), seed).radiance);
         }
