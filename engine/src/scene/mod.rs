@@ -26,6 +26,7 @@ mod sight;
 
 mod merge;
 mod render;
+mod shadow;
 mod tile;
 
 mod ignore;
@@ -57,4 +58,5 @@ pub use recording::{RecordedCamera, RecordedFrame, RecordedTrack, Recording};
 pub use region_builder::RegionConfig;
 pub use rejection::Rejection;
 pub use render::{RenderOptions, RenderedFrame, Scene, SceneObject, StaticObject, render};
+pub use shadow::{cast_shadows, shadow_casters};
 pub use valid_region::{Cell, NO_GROUND, Unsupported, ValidRegion};

@@ -1,0 +1,325 @@
+//! Cast and contact shadows of placed objects on the ground, applied in linear light to a finished image.
+//!
+//! Each caster gets a map of its own ground plane: how much of the sun and of the sky's dome its field lets through to each place.
+//! A ground pixel's light is then scaled by what is left of both. Surfaces off the caster's ground plane, and pixels that belong to
+//! objects, keep their light.
+
+use glam::{DVec2, DVec3, Vec3};
+use rayon::prelude::*;
+
+use super::composition::{Composition, Origin};
+use super::render::{RenderedFrame, Scene, SceneObject};
+use crate::field::{Field, RaySample};
+
+/// The sun's part of the light on level ground in the open, from clear-sky irradiance in daylight.
+const SUN_SHARE: f64 = 0.7;
+/// A lower sun throws shadows longer than the ground plane can be trusted.
+const MIN_SUN_SINE: f64 = 0.17;
+const CELL_M: f64 = 0.1;
+/// The dome is darkened up to this far from an object.
+const CONTACT_REACH_M: f64 = 1.0;
+const MAX_SHADOW_M: f64 = 8.0;
+/// Heights around the caster's ground plane that count as its ground.
+const GROUND_BELOW_M: f64 = 0.3;
+const GROUND_ABOVE_M: f64 = 0.15;
+/// Rays start above the layer in which object fields learn a piece of road.
+const LIFT_M: f64 = 0.06;
+/// Directions over the dome: rings x turns, weighted by cosine.
+const DOME_RINGS: u32 = 3;
+const DOME_TURNS: u32 = 8;
+/// Ground in the shadow of the background itself has no sun to lose; the ray to the sun starts clear of the ground's haze.
+const SUN_LIFT_M: f64 = 0.7;
+const SUN_RANGE_M: f64 = 40.0;
+const STOP_TAU: f32 = 4.0;
+
+/// Instances of a composition whose shadows are missing from the background: inserts and replacements if the recipe wants
+/// shadows, and replayed movers where the sun is known, because training then left their shadows out.
+pub fn shadow_casters(composition: &Composition, sun_known: bool) -> Vec<u16> {
+    let casts = |origin: Origin| match origin {
+        Origin::Inserted | Origin::Replaced => composition.insert_shadows,
+        Origin::Replayed => sun_known,
+        Origin::Static => false,
+    };
+    let objects = composition.objects.iter();
+    objects
+        .filter(|o| casts(o.origin))
+        .map(|o| o.instance_id)
+        .collect()
+}
+
+/// Darkens the ground under and behind the named instances. Without a sun direction only the contact shadow remains.
+pub fn cast_shadows(
+    scene: &Scene<'_>,
+    casters: &[u16],
+    sun_direction_local: Option<DVec3>,
+    frame: &mut RenderedFrame,
+) {
+    let sun = sun_direction_local
+        .map(DVec3::normalize)
+        .filter(|d| d.z >= MIN_SUN_SINE);
+    let objects: Vec<u16> = scene.objects.iter().map(|o| o.instance_id).collect();
+    let mut named: Vec<&SceneObject<'_>> = scene
+        .objects
+        .iter()
+        .filter(|o| casters.contains(&o.instance_id))
+        .collect();
+    named.sort_by_key(|o| o.instance_id);
+    let maps: Vec<ShadowMap<'_>> = named
+        .par_iter()
+        .map(|object| ShadowMap::new(object, sun))
+        .collect();
+    if maps.is_empty() {
+        return;
+    }
+    let width = frame.width as usize;
+    let (depth, instance) = (&frame.depth_z_m, &frame.instance);
+    frame
+        .rgb8
+        .par_chunks_mut(3 * width)
+        .enumerate()
+        .for_each(|(row, pixels)| {
+            for (column, rgb) in pixels.chunks_exact_mut(3).enumerate() {
+                let i = row * width + column;
+                if depth[i] > 0.0 && !objects.contains(&instance[i]) {
+                    let p = surface_point(scene, column, row, f64::from(depth[i]));
+                    darken(rgb, light_left(scene.background, &maps, sun, p));
+                }
+            }
+        });
+}
+
+fn surface_point(scene: &Scene<'_>, column: usize, row: usize, z: f64) -> DVec3 {
+    let pixel = DVec2::new(column as f64 + 0.5, row as f64 + 0.5);
+    let direction = scene.camera.direction(pixel);
+    scene.local_from_camera.point(direction * (z / direction.z))
+}
+
+/// Fraction of a ground point's light that all casters together leave.
+fn light_left(
+    background: Option<&Field>,
+    maps: &[ShadowMap<'_>],
+    sun: Option<DVec3>,
+    p: DVec3,
+) -> f64 {
+    let (mut sun_left, mut dome_left) = (1.0, 1.0);
+    for map in maps {
+        let (sun, dome) = map.at(p);
+        sun_left *= sun;
+        dome_left *= dome;
+    }
+    if sun_left == 1.0 && dome_left == 1.0 {
+        return 1.0;
+    }
+    let Some(sun) = sun else {
+        return dome_left;
+    };
+    let from = p + sun * (SUN_LIFT_M / sun.z);
+    let open = background.map_or(1.0, |b| transmittance(b, from, sun, SUN_RANGE_M));
+    let (direct, diffuse) = (SUN_SHARE * open, 1.0 - SUN_SHARE);
+    (direct * sun_left + diffuse * dome_left) / (direct + diffuse)
+}
+
+fn darken(rgb: &mut [u8], factor: f64) {
+    if factor >= 1.0 {
+        return;
+    }
+    for channel in rgb {
+        let linear = linear_of(f64::from(*channel) / 255.0) * factor;
+        *channel = libm::round(srgb_of(linear) * 255.0) as u8;
+    }
+}
+
+/// IEC 61966-2-1.
+fn linear_of(encoded: f64) -> f64 {
+    if encoded <= 0.040_45 {
+        encoded / 12.92
+    } else {
+        libm::pow((encoded + 0.055) / 1.055, 2.4)
+    }
+}
+
+fn srgb_of(linear: f64) -> f64 {
+    if linear <= 0.003_130_8 {
+        linear * 12.92
+    } else {
+        1.055 * libm::pow(linear, 1.0 / 2.4) - 0.055
+    }
+}
+
+fn transmittance(field: &Field, origin: DVec3, direction: DVec3, range_m: f64) -> f64 {
+    let mut samples: Vec<RaySample> = Vec::with_capacity(64);
+    let tau = field.march(
+        origin.as_vec3(),
+        direction.as_vec3(),
+        0.0,
+        range_m as f32,
+        STOP_TAU,
+        &mut samples,
+    );
+    f64::from((-tau).exp())
+}
+
+/// Light that reaches a caster's ground plane, on a grid in the caster's frame.
+struct ShadowMap<'a> {
+    object: &'a SceneObject<'a>,
+    low: DVec2,
+    columns: usize,
+    rows: usize,
+    /// Parts of sun and dome that get through, row-major.
+    light: Vec<(f64, f64)>,
+}
+
+impl<'a> ShadowMap<'a> {
+    fn new(object: &'a SceneObject<'a>, sun: Option<DVec3>) -> Self {
+        let sun = sun.map(|d| object.local_from_object.inverse().direction(d));
+        let (low, high) = object.field.bounds();
+        let (low, high) = (low.as_dvec3().truncate(), high.as_dvec3().truncate());
+        let reach = DVec2::splat(CONTACT_REACH_M);
+        let (mut from, mut to) = (low - reach, high + reach);
+        if let Some(sun) = sun.filter(|d| d.z > 0.0) {
+            let length = (object.size_m.z / sun.z).min(MAX_SHADOW_M);
+            let shift = -sun.truncate() * length;
+            from = from.min(low + shift);
+            to = to.max(high + shift);
+        }
+        let size = (to - from) / CELL_M;
+        let (columns, rows) = (size.x.ceil() as usize + 1, size.y.ceil() as usize + 1);
+        let mut map = Self {
+            object,
+            low: from,
+            columns,
+            rows,
+            light: Vec::new(),
+        };
+        map.light = (0..columns * rows).map(|i| map.light_at(i, sun)).collect();
+        map
+    }
+
+    fn light_at(&self, index: usize, sun: Option<DVec3>) -> (f64, f64) {
+        let cell = DVec2::new((index % self.columns) as f64, (index / self.columns) as f64);
+        let ground = -self.object.size_m.z * 0.5 + LIFT_M;
+        let p = (self.low + cell * CELL_M).extend(ground);
+        let field = self.object.field;
+        let through = |d: DVec3| transmittance(field, p, d, MAX_SHADOW_M);
+        let sun_part = sun.map_or(1.0, through);
+        let (low, high) = field.bounds();
+        let (low, high) = (low.as_dvec3(), high.as_dvec3());
+        let gap = (low - p).max(p - high).truncate().max(DVec2::ZERO);
+        if gap.length() > CONTACT_REACH_M {
+            return (sun_part, 1.0);
+        }
+        // Fades to nothing at the reach, so that the shadow has no rim.
+        let fade = 1.0 - gap.length() / CONTACT_REACH_M;
+        let mut dome = 0.0;
+        for direction in dome_directions() {
+            dome += through(direction);
+        }
+        let dome = dome / f64::from(DOME_RINGS * DOME_TURNS);
+        (sun_part, 1.0 - fade * (1.0 - dome))
+    }
+
+    /// Parts of sun and dome left at a point of the background; (1, 1) off the ground plane or outside the map.
+    fn at(&self, p: DVec3) -> (f64, f64) {
+        let q = self.object.local_from_object.inverse().point(p);
+        let above = q.z + self.object.size_m.z * 0.5;
+        let c = (q.truncate() - self.low) / CELL_M;
+        let inside = c.x >= 0.0
+            && c.y >= 0.0
+            && c.x < (self.columns - 1) as f64
+            && c.y < (self.rows - 1) as f64;
+        if !inside || !(-GROUND_BELOW_M..=GROUND_ABOVE_M).contains(&above) {
+            return (1.0, 1.0);
+        }
+        let (column, row) = (c.x as usize, c.y as usize);
+        let (fx, fy) = (c.x - column as f64, c.y - row as f64);
+        let mut sum = (0.0, 0.0);
+        for (dx, dy, weight) in [
+            (0, 0, (1.0 - fx) * (1.0 - fy)),
+            (1, 0, fx * (1.0 - fy)),
+            (0, 1, (1.0 - fx) * fy),
+            (1, 1, fx * fy),
+        ] {
+            let (sun, dome) = self.light[(row + dy) * self.columns + column + dx];
+            sum.0 += weight * sun;
+            sum.1 += weight * dome;
+        }
+        sum
+    }
+}
+
+/// Directions whose density is that of the cosine over the dome.
+fn dome_directions() -> impl Iterator<Item = DVec3> {
+    (0..DOME_RINGS).flat_map(|ring| {
+        // Equal parts of sin^2 of the polar angle carry equal cosine-weighted light.
+        let sine = libm::sqrt((f64::from(ring) + 0.5) / f64::from(DOME_RINGS));
+        (0..DOME_TURNS).map(move |turn| {
+            let phase = f64::from(turn) + 0.5 * f64::from(ring % 2);
+            let (s, c) = libm::sincos(phase / f64::from(DOME_TURNS) * std::f64::consts::TAU);
+            DVec3::new(sine * c, sine * s, libm::sqrt(1.0 - sine * sine))
+        })
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::camera::Rigid;
+    use crate::scene::solid_field::solid_field;
+
+    const SIZE: DVec3 = DVec3::new(4.0, 2.0, 1.6);
+
+    fn car() -> Field {
+        let half = (SIZE * 0.5).as_vec3();
+        solid_field(-half - 0.2, half + 0.2, 0.1, [0.5; 3], |p: Vec3| {
+            // Raised by 0.2 m: there is light under a car.
+            let inside = p.abs().cmple(half).all() && p.z > 0.2 - half.z;
+            if inside { 60.0 } else { 0.0 }
+        })
+    }
+
+    fn left(sun: Option<DVec3>, x: f64, y: f64, z: f64) -> f64 {
+        let field = car();
+        let object = SceneObject {
+            instance_id: 1,
+            field: &field,
+            local_from_object: Rigid::from_heading(0.0, DVec3::Z * 0.8),
+            size_m: SIZE,
+        };
+        let maps = [ShadowMap::new(&object, sun)];
+        light_left(None, &maps, sun, DVec3::new(x, y, z))
+    }
+
+    #[test]
+    fn the_shadow_lies_away_from_the_sun_on_the_ground_only() {
+        let sun = Some(DVec3::new(0.0, 1.0, 1.0).normalize());
+        let shaded = left(sun, 0.0, -1.8, 0.0);
+        let sunny = left(sun, 0.0, 1.8, 0.0);
+        assert!(shaded < 0.35, "{shaded}");
+        assert!(sunny > 0.85, "{sunny}");
+        assert_eq!(left(sun, 0.0, -8.0, 0.0), 1.0);
+        assert_eq!(left(sun, 0.0, -1.8, 0.6), 1.0, "a wall's upper part");
+    }
+
+    #[test]
+    fn contact_darkens_most_under_the_object_and_fades() {
+        let (under, edge, beside, far) = (
+            left(None, 0.0, 0.0, 0.0),
+            left(None, 0.0, 1.15, 0.0),
+            left(None, 0.0, 1.7, 0.0),
+            left(None, 0.0, 2.6, 0.0),
+        );
+        assert!(under < 0.3 && under < edge && edge < beside && beside < 1.0);
+        assert_eq!(far, 1.0);
+    }
+
+    #[test]
+    fn light_is_scaled_in_linear_space() {
+        let mut rgb = [188, 188, 188];
+        darken(&mut rgb, 0.5);
+        // 188 is half of full linear light, so a quarter remains: 137.
+        assert_eq!(rgb, [137; 3]);
+        let mut black = [0, 0, 0];
+        darken(&mut black, 0.5);
+        assert_eq!(black, [0; 3]);
+    }
+}
