@@ -40,8 +40,14 @@ class Samples(samples_pb2_grpc.SampleServiceServicer):
         self.shift = 0
         self.snapshot = SNAPSHOT
         self.padding_bytes = 0
+        self.running = 0
+        self.max_running = 100
 
     def StreamSamples(self, request, context):
+        if self.running >= self.max_running:
+            _fail(Fault(0, grpc.StatusCode.RESOURCE_EXHAUSTED, [retry_info(0.01)]), context)
+        self.running += 1
+        context.add_callback(self._ended)
         self.calls.append((request.start_index, request.count))
         fault = self.faults.pop(0) if self.faults else None
         for n in range(request.count):
@@ -53,6 +59,9 @@ class Samples(samples_pb2_grpc.SampleServiceServicer):
             yield samples_pb2.StreamSamplesResponse(sample=sample)
         if fault and fault.after == request.count:
             _fail(fault, context)
+
+    def _ended(self):
+        self.running -= 1
 
 
 class Assets(assets_pb2_grpc.AssetServiceServicer):

@@ -33,7 +33,8 @@ def test_samples_arrive_in_order(client, recipe):
 
 def test_a_broken_stream_goes_on_at_the_next_index(client, peer, recipe):
     peer.samples.faults = [Fault(3), Fault(0), Fault(2, code=None), Fault(5)]
-    assert indices(client.stream_samples(recipe, seed=3, start=100, count=20)) == list(range(100, 120))
+    stream = client.stream_samples(recipe, seed=3, start=100, count=20, prefetch=20)
+    assert indices(stream) == list(range(100, 120))
     # Nothing is asked for twice.
     assert peer.samples.calls == [(100, 20), (103, 17), (103, 17), (105, 15), (110, 10)]
 
@@ -91,17 +92,41 @@ def test_a_recipe_without_a_snapshot_is_pinned(client, peer):
     assert indices(client.stream_samples(Recipe(background="assets/street"), seed=3, count=2)) == [0, 1]
 
 
-def test_reading_ahead_is_bounded(client, peer, recipe):
-    # More than the transport's buffers hold.
-    peer.samples.padding_bytes = 1 << 20
-    stream = client.stream_samples(recipe, seed=3, count=200, prefetch=2)
-    next(stream)
+def settle(peer):
+    """Waits until the peer sends nothing more."""
     before = -1
-    while peer.samples.sent != before:
+    while peer.samples.sent != before or peer.samples.running:
         before = peer.samples.sent
-        time.sleep(0.3)
-    assert before < 40, "the server sent far more than was asked for"
-    assert indices(stream) == list(range(1, 200))
+        time.sleep(0.2)
+
+
+@pytest.mark.parametrize("prefetch", [1, 2, 7])
+def test_reading_ahead_is_bounded(client, peer, recipe, prefetch):
+    stream = client.stream_samples(recipe, seed=3, count=50, prefetch=prefetch)
+    next(stream)
+    settle(peer)
+    assert 1 <= peer.samples.sent <= 1 + prefetch
+    assert indices(stream) == list(range(1, 50))
+    assert peer.samples.sent == 50
+
+
+def test_readers_that_pause_leave_the_server_to_others(client, peer, recipe):
+    peer.samples.max_running = 1
+    paused = [client.stream_samples(recipe, seed=3, count=100_000) for _ in range(3)]
+    for stream in paused:
+        next(stream)
+    assert indices(client.stream_samples(recipe, seed=3, count=30)) == list(range(30))
+    assert [next(stream).index for stream in paused] == [1, 1, 1]
+
+
+def test_a_busy_server_is_waited_for_until_the_deadline(peer, recipe):
+    peer.samples.max_running = 0
+    with Client(peer.target, retry=FAST, sample_timeout_s=0.6) as client:
+        with pytest.raises(DeadlineExceededError) as caught:
+            next(client.stream_samples(recipe, seed=3, count=3))
+        assert isinstance(caught.value.__cause__, ResourceExhaustedError)
+        peer.samples.max_running = 1
+        assert indices(client.stream_samples(recipe, seed=3, count=3)) == [0, 1, 2]
 
 
 def test_a_silent_server_ends_in_a_deadline(peer, recipe):

@@ -95,7 +95,7 @@ class Client:
         return [resources.library_snapshot(snapshot) for snapshot in pages]
 
     def stream_samples(
-        self, recipe: Recipe, *, seed: int, start: int = 0, count: int, prefetch: int = 2
+        self, recipe: Recipe, *, seed: int, start: int = 0, count: int, prefetch: int = 4
     ) -> SampleStream:
         """Samples [start, start + count) in order. At most `prefetch` are read ahead.
 
@@ -109,7 +109,7 @@ class Client:
         return self.stream_ranges(recipe, seed=seed, ranges=[(start, count)], prefetch=prefetch)
 
     def stream_ranges(
-        self, recipe: Recipe, *, seed: int, ranges: Sequence[tuple[int, int]], prefetch: int = 2
+        self, recipe: Recipe, *, seed: int, ranges: Sequence[tuple[int, int]], prefetch: int = 4
     ) -> SampleStream:
         """As `stream_samples`, over several (start, count) ranges one after the other. The recipe must name its snapshot."""
         if not recipe.library_snapshot:

@@ -55,7 +55,7 @@ class ShardedSamples:
         rank: int | None = None,
         world_size: int | None = None,
         transform: Callable[[Sample], Any] | None = None,
-        prefetch: int = 2,
+        prefetch: int = 4,
     ):
         if not recipe.library_snapshot:
             raise ValueError("the recipe names no library snapshot: use recipe.pinned(client.create_snapshot().name)")

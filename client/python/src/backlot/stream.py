@@ -16,6 +16,7 @@ from backlot.errors import (
     ContractError,
     DeadlineExceededError,
     ForkError,
+    ResourceExhaustedError,
     from_rpc,
     is_retryable,
 )
@@ -25,9 +26,6 @@ from backlot.sample import Sample, decode
 from backlot.transport import Transport
 from backlot.v1 import samples_pb2, samples_pb2_grpc
 
-# The server's limit of samples a call.
-MAX_SAMPLES_PER_CALL = 100_000
-
 # Longest that closing a stream waits for its thread, which may be decoding a sample.
 _STOP_TIMEOUT_S = 2.0
 
@@ -35,8 +33,9 @@ _STOP_TIMEOUT_S = 2.0
 class SampleStream:
     """Iterates over samples of a recipe; made by `Client.stream_samples`.
 
-    A thread reads and decodes at most `prefetch` samples ahead; beyond that the server is held back by flow control. A sample
-    depends only on its index, so a broken call is repeated from the first index that has not arrived.
+    A thread reads and decodes ahead. It asks for no more samples than there is room for, at most `prefetch`, so that a reader that
+    pauses holds no call open: a server renders for a limited number of calls at once. A sample depends only on its index, so
+    a broken call is repeated from the first index that has not arrived.
     """
 
     def __init__(
@@ -59,7 +58,7 @@ class SampleStream:
             item = self._reader.arrived.get(timeout=self._timeout_s)
         except queue.Empty:
             self.close()
-            raise DeadlineExceededError(f"no sample arrived within {self._timeout_s} s") from None
+            raise DeadlineExceededError(f"no sample arrived within {self._timeout_s} s") from self._reader.last_error
         if isinstance(item, Sample):
             self._reader.slots.release()
             return item
@@ -88,6 +87,10 @@ class _Reader:
         self._ranges = ranges
         self._call: grpc.Call | None = None
         self._failures = 0
+        # Asked for again when half of the room is free: calls are neither idle nor of single samples.
+        self._least_room = (prefetch + 1) // 2
+        # Slots taken for samples that have not arrived.
+        self._room = 0
         self._thread: threading.Thread | None = None
         self._generation = GATE.generation
         # Samples, then one exception: StopIteration at the end.
@@ -95,6 +98,8 @@ class _Reader:
         # Free places for samples that were read and not yet taken.
         self.slots = threading.Semaphore(prefetch)
         self.stopped = threading.Event()
+        # Why the last attempt failed, if it did.
+        self.last_error: BacklotError | None = None
 
     def ensure_running(self) -> None:
         if self._thread is None:
@@ -131,29 +136,41 @@ class _Reader:
     def _read_range(self, start: int, end: int) -> None:
         next_index = start
         while next_index < end:
+            self._wait_for_room(end - next_index)
             forks = GATE.forks
             try:
-                for sample in self._attempt(next_index, min(end - next_index, MAX_SAMPLES_PER_CALL)):
+                for sample in self._attempt(next_index, min(end - next_index, self._room)):
                     next_index += 1
+                    self._room -= 1
                     self._failures = 0
+                    self.last_error = None
                     self.arrived.put(sample)
             except BacklotError as error:
                 self._wait_or_raise(error, forked=GATE.forks != forks)
+
+    def _wait_for_room(self, wanted: int) -> None:
+        """Takes slots for up to `wanted` samples, waiting for the least number of them."""
+        while self._room < min(wanted, self._least_room):
+            self.slots.acquire()
+            self._check_stopped()
+            self._room += 1
+        while self._room < wanted and self.slots.acquire(blocking=False):
+            self._room += 1
 
     def _attempt(self, start: int, count: int):
         """One call for samples [start, start + count)."""
         request = samples_pb2.StreamSamplesRequest(
             recipe=self._request.recipe, seed=self._request.seed, start_index=start, count=count
         )
+        timeout_s = self._transport.connection.sample_timeout_s * count
         self._check_stopped()
         call = self._transport.start(
-            samples_pb2_grpc.SampleServiceStub, "StreamSamples", request, timeout_s=None, streaming=True
+            samples_pb2_grpc.SampleServiceStub, "StreamSamples", request, timeout_s, streaming=True
         )
         self._call = call
         try:
-            self._check_stopped()
             for index in range(start, start + count):
-                self.slots.acquire()
+                self._check_stopped()
                 yield self._receive(call, index)
             self._receive_end(call, start + count)
         finally:
@@ -162,24 +179,17 @@ class _Reader:
             GATE.finish(call)
 
     def _receive(self, call: grpc.Call, index: int) -> Sample:
-        """The next sample of a call; gives its slot back if there is none."""
-        sample = None
         try:
-            self._check_stopped()
             with GATE.inside():
                 response = next(call, None)
-            if response is None:
-                raise _Ended(f"the server ended the stream before sample {index}")
-            if response.sample.index != index:
-                raise ContractError(f"the server sent sample {response.sample.index} in place of {index}")
-            self._check_snapshot(response.sample)
-            sample = decode(response.sample)
-            return sample
         except grpc.RpcError as error:
             raise from_rpc(error) from None
-        finally:
-            if sample is None:
-                self.slots.release()
+        if response is None:
+            raise _Ended(f"the server ended the stream before sample {index}")
+        if response.sample.index != index:
+            raise ContractError(f"the server sent sample {response.sample.index} in place of {index}")
+        self._check_snapshot(response.sample)
+        return decode(response.sample)
 
     def _receive_end(self, call: grpc.Call, end: int) -> None:
         """Lets the server end the call by itself: a peer may count resets against the connection."""
@@ -200,9 +210,13 @@ class _Reader:
         self._check_stopped()
         if forked and isinstance(error, CancelledError):
             return
+        self.last_error = error
         retry = self._transport.connection.retry
         self._failures += 1
-        if not (isinstance(error, _Ended) or is_retryable(error)) or self._failures >= retry.max_attempts:
+        if not (isinstance(error, _Ended) or is_retryable(error)):
+            raise error
+        # A server that sheds load is well, and has other readers to serve: the consumer's deadline ends this, not a count.
+        if self._failures >= retry.max_attempts and not isinstance(error, ResourceExhaustedError):
             raise error
         self.stopped.wait(retry.delay_s(self._failures, random.random(), error.retry_after_s))
         self._check_stopped()
