@@ -27,6 +27,8 @@ mod blobs_tests;
 
 mod library;
 
+#[cfg(test)]
+mod kill_tests;
 mod logs;
 
 mod jobs;
