@@ -9,6 +9,7 @@ pub mod generator;
 pub mod kitti;
 
 pub mod geometry;
+pub mod motion;
 
 pub mod connection;
 pub mod names;

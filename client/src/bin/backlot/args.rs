@@ -39,6 +39,8 @@ pub(crate) enum Command {
     Assets(AssetsCommand),
     /// Render labelled samples from a background and the library's objects.
     Augment(AugmentOptions),
+    /// Run everything once with an embedded server: a log goes in, labelled samples come out.
+    Demo(DemoOptions),
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -95,6 +97,8 @@ pub(crate) struct LogParts {
 pub(crate) enum LogFormat {
     /// Drive folder of the KITTI raw data set.
     KittiRaw,
+    /// No files: a synthetic, ray-traced street.
+    Generated,
 }
 
 #[derive(Debug, Subcommand)]
@@ -227,6 +231,29 @@ pub(crate) struct AugmentOptions {
     /// Write no instance images.
     #[arg(long)]
     pub no_instance: bool,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct DemoOptions {
+    /// Folder of the results and of the server's store.
+    #[arg(long, value_name = "DIR")]
+    pub out: PathBuf,
+    /// Folder of a recorded log; without it a synthetic street is generated.
+    #[arg(long, value_name = "PATH", requires = "format")]
+    pub log: Option<PathBuf>,
+    /// Format of the log.
+    #[arg(long, value_enum)]
+    pub format: Option<LogFormat>,
+    #[command(flatten)]
+    pub parts: LogParts,
+    #[arg(long, value_enum, default_value_t = Budget::Standard)]
+    pub budget: Budget,
+    /// Seed of the generated log, of training and of the samples.
+    #[arg(long, default_value_t = 1)]
+    pub seed: u64,
+    /// Samples to render; the paper makes 12 of each background.
+    #[arg(long, default_value_t = 12)]
+    pub count: u64,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]

@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use backlot_client::generator::{StreetConfig, StreetWorld};
 use backlot_client::kitti::{KittiInputs, read_kitti_raw};
 use backlot_client::read_log::ReadLog;
 
@@ -19,4 +20,14 @@ pub(crate) fn read_kitti(path: &Path, parts: &LogParts) -> anyhow::Result<ReadLo
         eprintln!("note: {note}");
     }
     Ok(log)
+}
+
+/// The demo's street with another seed.
+pub(crate) fn generate(seed: u64) -> anyhow::Result<ReadLog> {
+    let config = StreetConfig {
+        seed,
+        ..StreetConfig::default()
+    };
+    eprintln!("note: a generated log is synthetic: its images are ray-traced");
+    Ok(StreetWorld::new(&config)?.read_log()?)
 }

@@ -9,6 +9,7 @@ mod input;
 
 mod assets;
 mod augment;
+mod demo;
 mod jobs;
 mod logs;
 
@@ -41,6 +42,7 @@ async fn run(arguments: Arguments) -> anyhow::Result<()> {
         Command::Jobs(command) => jobs::run(&open().await?, command, output).await,
         Command::Assets(command) => assets::run(&open().await?, command, output).await,
         Command::Augment(options) => augment::run(&open().await?, &options).await,
+        Command::Demo(options) => demo::run(&options).await,
     }
 }
 
