@@ -4,7 +4,7 @@
 //! A ground pixel's light is then scaled by what is left of both. Surfaces off the caster's ground plane, and pixels that belong to
 //! objects, keep their light.
 
-use glam::{DVec2, DVec3, Vec3};
+use glam::{DVec2, DVec3};
 use rayon::prelude::*;
 
 use super::composition::{Composition, Origin};
@@ -265,6 +265,7 @@ mod tests {
     use super::*;
     use crate::camera::Rigid;
     use crate::scene::solid_field::solid_field;
+    use glam::Vec3;
 
     const SIZE: DVec3 = DVec3::new(4.0, 2.0, 1.6);
 

@@ -27,7 +27,11 @@ pub(super) fn add_product<const ROWS: usize, const COLUMNS: usize, const FMA: bo
     c: &mut [f32],
     finish: Finish,
 ) {
-    assert!(b.len() >= k * n && c.len() >= rows * n && a.len() >= (rows.max(1) - 1) * lda + k);
+    // A chunk none of whose samples matters has no rows.
+    if rows == 0 {
+        return;
+    }
+    assert!(b.len() >= k * n && c.len() >= rows * n && a.len() >= (rows - 1) * lda + k);
     assert!(n.is_multiple_of(4), "columns come in vectors of four");
     let mut row = 0;
     while row < rows {
@@ -110,7 +114,10 @@ pub(super) fn add_transposed_product<const ROWS: usize, const COLUMNS: usize, co
     b: &[f32],
     c: &mut [f32],
 ) {
-    assert!(b.len() >= rows * n && c.len() >= m * n && a.len() >= (rows.max(1) - 1) * lda + m);
+    if rows == 0 {
+        return;
+    }
+    assert!(b.len() >= rows * n && c.len() >= m * n && a.len() >= (rows - 1) * lda + m);
     assert!(n.is_multiple_of(4), "columns come in vectors of four");
     let mut i = 0;
     while i < m {
@@ -169,5 +176,18 @@ fn transposed_tile<const ROWS: usize, const COLUMNS: usize, const FMA: bool>(
     for (r, sums) in sums.iter().enumerate() {
         let out = &mut c[r * n + column..][..COLUMNS];
         out.iter_mut().zip(sums).for_each(|(o, s)| *o += s);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_batch_without_rows_is_nothing_to_do() {
+        add_product::<6, 64, false>((0, 4, 3), &[], 3, &[0.0; 12], &mut [], Finish::Keep);
+        let mut gradient = [1.0; 12];
+        add_transposed_product::<6, 64, false>((0, 3, 4), &[], 3, &[], &mut gradient);
+        assert_eq!(gradient, [1.0; 12]);
     }
 }
