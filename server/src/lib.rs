@@ -16,6 +16,8 @@ pub mod ingest;
 
 pub mod jobs;
 
+pub mod samples;
+
 pub mod api;
 
 pub mod server;

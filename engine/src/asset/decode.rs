@@ -30,15 +30,51 @@ impl Asset {
             SafeTensors::deserialize(&plain).map_err(|e| corrupt(format!("tensors: {e}")))?;
         let header: AssetHeader = json(&metadata, HEADER_KEY)?;
         if header.format_version > FORMAT_VERSION {
-            return Err(corrupt(format!(
-                "format version {} is newer than {FORMAT_VERSION}; update this program",
-                header.format_version
-            )));
+            return Err(newer(header.format_version));
         }
         let layout: FieldLayout = json(&metadata, FIELD_KEY)?;
         let field = read_field(&tensors, &layout)?;
         Ok(Self { header, field })
     }
+}
+
+/// Longest safetensors header: JSON texts with a recording of 50,000 frames and a valid region.
+const MAX_HEADER_BYTES: u64 = 256 << 20;
+
+impl Asset {
+    /// Reads the header alone, without unpacking the field.
+    ///
+    /// # Errors
+    /// As [`Asset::decode`].
+    pub fn decode_header(bytes: &[u8]) -> Result<AssetHeader> {
+        let frame = |e: std::io::Error| corrupt(format!("zstd frame: {e}"));
+        let mut decoder = zstd::stream::read::Decoder::with_buffer(bytes).map_err(frame)?;
+        // A safetensors file begins with the length of its JSON header.
+        let mut length = [0; 8];
+        decoder.read_exact(&mut length).map_err(frame)?;
+        let length_bytes = u64::from_le_bytes(length);
+        if length_bytes > MAX_HEADER_BYTES {
+            return Err(corrupt(format!("tensor header of {length_bytes} bytes")));
+        }
+        let mut text = Vec::new();
+        decoder
+            .take(length_bytes)
+            .read_to_end(&mut text)
+            .map_err(frame)?;
+        let metadata: Metadata =
+            serde_json::from_slice(&text).map_err(|e| corrupt(format!("tensor header: {e}")))?;
+        let header: AssetHeader = json(&metadata, HEADER_KEY)?;
+        if header.format_version > FORMAT_VERSION {
+            return Err(newer(header.format_version));
+        }
+        Ok(header)
+    }
+}
+
+fn newer(version: u32) -> Error {
+    corrupt(format!(
+        "format version {version} is newer than {FORMAT_VERSION}; update this program"
+    ))
 }
 
 fn corrupt(what: impl Into<String>) -> Error {

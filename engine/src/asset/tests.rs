@@ -101,6 +101,15 @@ fn zero_bricks_are_not_stored() {
 }
 
 #[test]
+fn the_header_is_read_without_the_field() {
+    let asset = asset();
+    let bytes = asset.encode();
+    assert_eq!(Asset::decode_header(&bytes).unwrap(), asset.header);
+    assert!(Asset::decode_header(&bytes[..12]).is_err());
+    assert!(Asset::decode_header(b"not zstd").is_err());
+}
+
+#[test]
 fn a_newer_version_is_refused_by_name() {
     let mut asset = asset();
     asset.header.format_version = FORMAT_VERSION + 1;

@@ -54,6 +54,20 @@ impl Field {
         self.bounds_m
     }
 
+    /// Bytes of the arrays held in memory.
+    pub fn memory_bytes(&self) -> u64 {
+        let levels = self.levels.iter().map(|level| {
+            size_of_val(level.density())
+                + size_of_val(level.features())
+                + size_of_val(level.positions())
+                + size_of_val(level.index())
+        });
+        let occupancy = size_of_val(self.occupancy.masks()) + size_of_val(self.occupancy.index());
+        let grids = self.sky.iter().flat_map(|sky| sky.grids());
+        let sky: usize = grids.map(|grid| size_of_val(grid.logits())).sum();
+        (levels.sum::<usize>() + occupancy + sky) as u64
+    }
+
     pub fn finest_voxel_m(&self) -> f32 {
         self.levels.last().map_or(0.0, Lattice::voxel_m)
     }

@@ -23,6 +23,15 @@ pub(crate) const MAX_REQUEST_ID_BYTES: usize = 128;
 /// An upload that sends nothing for this long is cut; it can be resumed.
 pub(crate) const UPLOAD_IDLE: Duration = Duration::from_secs(30);
 
+/// Samples of one call.
+pub(crate) const MAX_SAMPLES: u64 = 100_000;
+
+/// Calls that render at once; all share the engine's threads.
+pub(crate) const MAX_RENDERINGS: usize = 16;
+
+/// Finished samples that wait for a slow client, besides the one in the sender's hand.
+pub(crate) const SAMPLES_AHEAD: usize = 1;
+
 /// Calls that one connection may have open.
 pub(crate) const MAX_STREAMS: u32 = 128;
 

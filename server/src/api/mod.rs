@@ -24,6 +24,11 @@ mod convert_job;
 
 mod jobs;
 
+mod convert_recipe;
+mod convert_sample;
+
+mod samples;
+
 mod layers;
 
 mod router;

@@ -8,6 +8,7 @@ use backlot_proto::v1::asset_service_server::AssetServiceServer;
 use backlot_proto::v1::blob_service_server::BlobServiceServer;
 use backlot_proto::v1::drive_log_service_server::DriveLogServiceServer;
 use backlot_proto::v1::job_service_server::JobServiceServer;
+use backlot_proto::v1::sample_service_server::SampleServiceServer;
 use tokio::net::TcpListener;
 use tokio_util::sync::CancellationToken;
 use tonic::service::Routes;
@@ -20,6 +21,7 @@ use super::assets::AssetApi;
 use super::blobs::BlobApi;
 use super::drive_logs::DriveLogApi;
 use super::jobs::JobApi;
+use super::samples::SampleApi;
 use super::{layers, limits};
 use crate::domain::clock::Clock;
 use crate::jobs::Queue;
@@ -89,6 +91,10 @@ fn routes(services: Services, health: HealthReporter) -> Routes {
         .add_service(limited!(
             AssetServiceServer,
             AssetApi::new(store.clone(), clock)
+        ))
+        .add_service(limited!(
+            SampleServiceServer,
+            SampleApi::new(store.clone(), stopping.clone())
         ))
         .add_service(limited!(
             JobServiceServer,

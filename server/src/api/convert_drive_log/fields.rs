@@ -13,28 +13,28 @@ const UNIT_TOLERANCE: f64 = 1e-3;
 
 /// A place in the message, with the camera frame it belongs to for people.
 #[derive(Clone, Debug)]
-pub(super) struct Place {
+pub(crate) struct Place {
     pub path: String,
     /// E.g. "camera image_02, frame 37"; empty if the path says it all.
     pub who: String,
 }
 
 impl Place {
-    pub(super) fn new(path: impl Into<String>) -> Self {
+    pub(crate) fn new(path: impl Into<String>) -> Self {
         Self {
             path: path.into(),
             who: String::new(),
         }
     }
 
-    pub(super) fn of(path: impl Into<String>, who: impl Into<String>) -> Self {
+    pub(crate) fn of(path: impl Into<String>, who: impl Into<String>) -> Self {
         Self {
             path: path.into(),
             who: who.into(),
         }
     }
 
-    pub(super) fn field(&self, name: &str) -> Self {
+    pub(crate) fn field(&self, name: &str) -> Self {
         Self {
             path: format!("{}.{name}", self.path),
             who: self.who.clone(),
@@ -44,12 +44,12 @@ impl Place {
 
 /// Collects what is wrong while fields are read; the values it returns for broken fields are never used.
 #[derive(Debug, Default)]
-pub(super) struct FieldReader {
+pub(crate) struct FieldReader {
     pub violations: Violations,
 }
 
 impl FieldReader {
-    pub(super) fn reject(&mut self, place: &Place, what: &str) {
+    pub(crate) fn reject(&mut self, place: &Place, what: &str) {
         let description = if place.who.is_empty() {
             what.to_owned()
         } else {
@@ -58,21 +58,21 @@ impl FieldReader {
         self.violations.push(place.path.clone(), description);
     }
 
-    pub(super) fn required<T>(&mut self, place: &Place, value: Option<T>) -> Option<T> {
+    pub(crate) fn required<T>(&mut self, place: &Place, value: Option<T>) -> Option<T> {
         if value.is_none() {
             self.reject(place, "is missing");
         }
         value
     }
 
-    pub(super) fn finite(&mut self, place: &Place, value: f64) -> f64 {
+    pub(crate) fn finite(&mut self, place: &Place, value: f64) -> f64 {
         if !value.is_finite() {
             self.reject(place, &format!("is {value}"));
         }
         value
     }
 
-    pub(super) fn vector(&mut self, place: &Place, value: Option<v1::Vector3>) -> DVec3 {
+    pub(crate) fn vector(&mut self, place: &Place, value: Option<v1::Vector3>) -> DVec3 {
         let Some(v) = self.required(place, value) else {
             return DVec3::ZERO;
         };
@@ -83,7 +83,7 @@ impl FieldReader {
         )
     }
 
-    pub(super) fn rigid(&mut self, place: &Place, value: Option<v1::RigidTransform>) -> Rigid {
+    pub(crate) fn rigid(&mut self, place: &Place, value: Option<v1::RigidTransform>) -> Rigid {
         let Some(transform) = self.required(place, value) else {
             return Rigid::IDENTITY;
         };
@@ -108,14 +108,14 @@ impl FieldReader {
         rotation.normalize()
     }
 
-    pub(super) fn blob(&mut self, place: &Place, value: Option<v1::BlobRef>) -> BlobRef {
+    pub(crate) fn blob(&mut self, place: &Place, value: Option<v1::BlobRef>) -> BlobRef {
         match self.required(place, value) {
             Some(blob) => self.blob_ref(place, blob),
             None => BlobRef::of(&[]),
         }
     }
 
-    pub(super) fn blob_ref(&mut self, place: &Place, blob: v1::BlobRef) -> BlobRef {
+    pub(crate) fn blob_ref(&mut self, place: &Place, blob: v1::BlobRef) -> BlobRef {
         let digest = blob.digest.parse().unwrap_or_else(|error: DigestError| {
             self.reject(&place.field("digest"), &error.to_string());
             Digest::of(&[])
@@ -126,7 +126,7 @@ impl FieldReader {
         }
     }
 
-    pub(super) fn object_class(&mut self, place: &Place, value: i32) -> ObjectClass {
+    pub(crate) fn object_class(&mut self, place: &Place, value: i32) -> ObjectClass {
         match object_class_from_wire(value) {
             Some(class) => class,
             None => {
@@ -137,7 +137,7 @@ impl FieldReader {
     }
 }
 
-fn object_class_from_wire(value: i32) -> Option<ObjectClass> {
+pub(crate) fn object_class_from_wire(value: i32) -> Option<ObjectClass> {
     match v1::ObjectClass::try_from(value).ok()? {
         v1::ObjectClass::Unspecified => None,
         v1::ObjectClass::Car => Some(ObjectClass::Car),

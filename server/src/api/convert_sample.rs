@@ -1,0 +1,124 @@
+//! Samples as they are sent.
+
+use backlot_engine::camera::{Camera, Rigid};
+use backlot_engine::scene::{FrameLabel, Origin, PixelBox};
+use backlot_proto::v1;
+
+use super::convert_drive_log::{object_class_to_wire, rigid_to_wire, vector_to_wire};
+use crate::domain::blob::Digest;
+use crate::samples::{DEPTH_UNIT_M, Sample, SampleBox, render_class};
+
+/// Where a sample comes from, besides what it knows itself.
+#[derive(Clone, Debug)]
+pub(super) struct Origins {
+    pub snapshot: Digest,
+    /// Empty if there is none.
+    pub background: String,
+    pub seed: u64,
+}
+
+pub(super) fn sample_to_wire(sample: Sample, index: u64, origins: &Origins) -> v1::Sample {
+    let boxes_3d: Vec<v1::SampleBox> = sample.boxes.iter().map(box_to_wire).collect();
+    let mut objects: Vec<String> = boxes_3d.iter().map(|b| b.asset.clone()).collect();
+    objects.retain(|asset| !asset.is_empty());
+    objects.sort();
+    objects.dedup();
+    let weakest_usage = match sample.has_replay_only {
+        true => v1::AssetUsage::ReplayOnly,
+        false => v1::AssetUsage::Library,
+    };
+    v1::Sample {
+        index,
+        boxes_3d,
+        provenance: Some(v1::SampleProvenance {
+            library_snapshot: format!("librarySnapshots/{}", origins.snapshot),
+            background: origins.background.clone(),
+            seed: origins.seed,
+            render_class: render_class(),
+            insert_shadows: sample.insert_shadows,
+            synthetic: sample.synthetic,
+            objects,
+            weakest_usage: weakest_usage.into(),
+        }),
+        rejections: sample.rejections.clone().into_iter().collect(),
+        frames: vec![frame_to_wire(sample)],
+    }
+}
+
+fn frame_to_wire(sample: Sample) -> v1::SampleFrame {
+    v1::SampleFrame {
+        boxes_2d: sample.labels.iter().map(label_to_wire).collect(),
+        camera_id: sample.camera_id,
+        timestamp_ns: sample.timestamp_ns,
+        frame_index: sample.frame_index,
+        view: Some(view_to_wire(&sample.camera, &sample.world_from_camera)),
+        world_from_ego: Some(rigid_to_wire(&sample.world_from_ego)),
+        image_png: sample.image_png,
+        depth_png: sample.depth_png,
+        depth_unit_m: DEPTH_UNIT_M,
+        instance_png: sample.instance_png,
+        ignore_png: sample.ignore_png,
+    }
+}
+
+fn view_to_wire(camera: &Camera, world_from_camera: &Rigid) -> v1::CameraView {
+    v1::CameraView {
+        width: camera.width,
+        height: camera.height,
+        focal_x_px: camera.focal_px.x,
+        focal_y_px: camera.focal_px.y,
+        principal_x_px: camera.principal_px.x,
+        principal_y_px: camera.principal_px.y,
+        world_from_camera: Some(rigid_to_wire(world_from_camera)),
+    }
+}
+
+fn box_to_wire(sample_box: &SampleBox) -> v1::SampleBox {
+    let origin = match sample_box.origin {
+        Origin::Inserted => v1::BoxOrigin::Inserted,
+        Origin::Replaced => v1::BoxOrigin::Replaced,
+        Origin::Replayed => v1::BoxOrigin::Replayed,
+        Origin::Static => v1::BoxOrigin::Static,
+    };
+    let object = sample_box.object.clone();
+    let (asset, source_log, source_track_id) = object.map_or_else(Default::default, |object| {
+        (object.asset, object.source_log, object.source_track_id)
+    });
+    v1::SampleBox {
+        instance_id: sample_box.instance_id.into(),
+        origin: origin.into(),
+        object_class: object_class_to_wire(sample_box.class).into(),
+        cuboid: Some(v1::Cuboid {
+            world_from_cuboid: Some(rigid_to_wire(&sample_box.world_from_object)),
+            size_m: Some(vector_to_wire(sample_box.size_m)),
+        }),
+        asset,
+        track_id: sample_box.track_id.clone(),
+        source_log,
+        source_track_id,
+        beyond_coverage: sample_box.beyond_coverage,
+    }
+}
+
+fn label_to_wire(label: &FrameLabel) -> v1::SampleBox2D {
+    v1::SampleBox2D {
+        instance_id: label.instance_id.into(),
+        amodal: label.amodal.as_ref().map(pixels_to_wire),
+        visible: Some(pixels_to_wire(&label.visible)),
+        visible_pixels: label.visible_px,
+        visible_fraction: label.visible_fraction,
+        truncation: label.truncation,
+        occluder_instance_id: label.occluder.into(),
+        camera_from_cuboid: Some(rigid_to_wire(&label.camera_from_object)),
+        lidar_points: label.lidar_points,
+    }
+}
+
+fn pixels_to_wire(pixels: &PixelBox) -> v1::Box2D {
+    v1::Box2D {
+        x_min: pixels.min.x,
+        y_min: pixels.min.y,
+        x_max: pixels.max.x,
+        y_max: pixels.max.y,
+    }
+}

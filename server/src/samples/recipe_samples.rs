@@ -1,0 +1,148 @@
+//! The samples of a recipe: sample `index` is a pure function of (library snapshot, recipe, seed, index).
+
+use std::sync::Arc;
+
+use backlot_engine::asset::AssetKind;
+use backlot_engine::scene::{
+    Candidate, Composition, Recipe, RenderOptions, Scene, Stage, compose, ignore_mask, label,
+    render,
+};
+use backlot_engine::{Asset, Error as EngineError};
+
+use super::cache::AssetCache;
+use super::error::{Error, Result};
+use super::library::{self, Objects};
+use super::sample::{Sample, SampleObject, boxes, encode_planes};
+use crate::domain::blob::Digest;
+use crate::domain::ids::AssetId;
+
+/// Which planes are wanted besides the image.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Planes {
+    pub depth: bool,
+    pub instance: bool,
+}
+
+/// What a client asks for.
+#[derive(Clone, Debug)]
+pub struct RecipeRequest {
+    /// `None` means the present library.
+    pub snapshot: Option<Digest>,
+    pub background: AssetId,
+    /// Assets to draw from; empty means every library object.
+    pub objects: Vec<AssetId>,
+    /// `recipe.objects` holds the same names.
+    pub recipe: Recipe,
+    pub planes: Planes,
+    pub seed: u64,
+}
+
+/// A recipe with its library resolved: later changes of the library do not reach it.
+#[derive(Debug)]
+pub struct RecipeSamples {
+    cache: Arc<AssetCache>,
+    request: RecipeRequest,
+    snapshot: Digest,
+    background: Arc<Asset>,
+    objects: Objects,
+}
+
+impl RecipeSamples {
+    /// Resolves the snapshot, decodes the background and reads the objects' headers.
+    ///
+    /// # Errors
+    /// Unknown snapshot, background or object; a background that is none; a recipe out of range.
+    pub fn prepare(cache: Arc<AssetCache>, request: RecipeRequest) -> Result<Self> {
+        request.recipe.validate()?;
+        let library = library::resolve(&cache, request.snapshot.as_ref())?;
+        let background = library::load(&cache, &library, &request.background)?;
+        if background.header.kind != AssetKind::Background {
+            return Err(Error::Invalid {
+                what: format!("{} is an object, not a background", request.background),
+            });
+        }
+        let objects = library::objects(&cache, &library, &request.objects)?;
+        Ok(Self {
+            cache,
+            request,
+            snapshot: library.digest,
+            background,
+            objects,
+        })
+    }
+
+    /// Digest of the library the samples are made from.
+    pub fn snapshot(&self) -> Digest {
+        self.snapshot
+    }
+
+    /// Makes one sample. `cancelled` is asked often.
+    ///
+    /// # Errors
+    /// [`EngineError::Cancelled`] in the engine's error, or why the sample cannot be made.
+    pub fn sample(&self, index: u64, cancelled: &(dyn Fn() -> bool + Sync)) -> Result<Sample> {
+        let header = &self.background.header;
+        let stage = Stage::from_header(&self.request.background.to_string(), header)?;
+        let candidates = &self.objects.candidates;
+        let seed = self.request.seed;
+        let composition = compose(&stage, candidates, &self.request.recipe, seed, index)?;
+        let assets = self.load_placed(&composition, cancelled)?;
+        let field = |i: usize| assets[i].as_deref().map(|asset| &asset.field);
+        let scene = Scene::of_composition(&self.background.field, &composition, field)?;
+        let frame = render(&scene, &RenderOptions::default(), cancelled)?;
+        let labels = label(&composition, stage.region, &frame);
+        let ignore = ignore_mask(&composition, &frame);
+        let [image_png, depth_png, instance_png, ignore_png] =
+            encode_planes(&frame, ignore.as_deref(), self.request.planes)?;
+        let recorded = &stage.recording.frames[composition.frame];
+        let world_from_local = header.local_from_world.inverse();
+        let placed = || composition.objects.iter().filter_map(|o| o.asset);
+        Ok(Sample {
+            camera_id: recorded.camera_id.clone(),
+            timestamp_ns: recorded.timestamp_ns,
+            frame_index: recorded.frame_index,
+            camera: composition.camera,
+            world_from_camera: world_from_local * composition.local_from_camera,
+            world_from_ego: world_from_local * composition.local_from_ego,
+            image_png,
+            depth_png,
+            instance_png,
+            ignore_png,
+            boxes: boxes(&composition.objects, &labels, &world_from_local, |i| {
+                object_of(&candidates[i])
+            }),
+            labels,
+            insert_shadows: false,
+            synthetic: header.synthetic || placed().any(|i| self.objects.objects[i].synthetic),
+            has_replay_only: placed().any(|i| !candidates[i].library),
+            rejections: composition.rejections,
+        })
+    }
+
+    /// The decoded assets of the placed objects, by index into the candidates.
+    fn load_placed(
+        &self,
+        composition: &Composition,
+        cancelled: &(dyn Fn() -> bool + Sync),
+    ) -> Result<Vec<Option<Arc<Asset>>>> {
+        let mut assets = vec![None; self.objects.objects.len()];
+        for index in composition.objects.iter().filter_map(|o| o.asset) {
+            if cancelled() {
+                return Err(EngineError::Cancelled.into());
+            }
+            if assets[index].is_none() {
+                let payload = &self.objects.objects[index].payload;
+                assets[index] = Some(self.cache.asset(payload)?);
+            }
+        }
+        Ok(assets)
+    }
+}
+
+fn object_of(candidate: &Candidate) -> SampleObject {
+    SampleObject {
+        asset: candidate.name.clone(),
+        source_log: candidate.source_log.clone(),
+        source_track_id: candidate.source_track_id.clone(),
+    }
+}

@@ -1,0 +1,129 @@
+//! A finished sample: encoded planes and labels in the log's world frame.
+
+use std::collections::BTreeMap;
+
+use backlot_engine::backend::cpu::Simd;
+use backlot_engine::camera::{Camera, Rigid};
+use backlot_engine::class::ObjectClass;
+use backlot_engine::scene::{FrameLabel, Origin, PlacedObject, RenderedFrame};
+use bytes::Bytes;
+use glam::DVec3;
+
+use super::encode::{depth_png, grey_png, instance_png, rgb_png};
+use super::error::Result;
+use super::recipe_samples::Planes;
+
+/// Metres of one step of the depth image: 4 mm up to 256 m.
+pub const DEPTH_UNIT_M: f64 = 1.0 / 256.0;
+
+/// One frame with everything that is known about it.
+#[derive(Clone, Debug)]
+pub struct Sample {
+    pub camera_id: String,
+    pub timestamp_ns: i64,
+    pub frame_index: u32,
+    pub camera: Camera,
+    pub world_from_camera: Rigid,
+    pub world_from_ego: Rigid,
+    pub image_png: Bytes,
+    /// Empty if left out.
+    pub depth_png: Bytes,
+    pub instance_png: Bytes,
+    /// Empty if no pixel is to be ignored.
+    pub ignore_png: Bytes,
+    /// Every object that was placed, and the static ones that can be seen.
+    pub boxes: Vec<SampleBox>,
+    /// Views of the boxes that can be seen.
+    pub labels: Vec<FrameLabel>,
+    pub rejections: BTreeMap<String, u32>,
+    /// Shadows of inserted objects were rendered.
+    pub insert_shadows: bool,
+    /// The background or any object was trained on synthetic images.
+    pub synthetic: bool,
+    /// An object that is only good near its recorded poses is in the sample.
+    pub has_replay_only: bool,
+}
+
+/// One object of a sample.
+#[derive(Clone, Debug)]
+pub struct SampleBox {
+    pub instance_id: u16,
+    pub origin: Origin,
+    pub class: ObjectClass,
+    pub world_from_object: Rigid,
+    pub size_m: DVec3,
+    pub track_id: String,
+    pub beyond_coverage: bool,
+    /// `None` for static originals.
+    pub object: Option<SampleObject>,
+}
+
+/// The asset that was rendered.
+#[derive(Clone, Debug)]
+pub struct SampleObject {
+    pub asset: String,
+    pub source_log: String,
+    pub source_track_id: String,
+}
+
+/// The encoded planes of a frame: image, depth, instance, ignore.
+pub(super) fn encode_planes(
+    frame: &RenderedFrame,
+    ignore: Option<&[u8]>,
+    planes: Planes,
+) -> Result<[Bytes; 4]> {
+    let (width, height) = (frame.width, frame.height);
+    let depth = match planes.depth {
+        true => depth_png(&frame.depth_z_m, width, height)?,
+        false => Bytes::new(),
+    };
+    let instance = match planes.instance {
+        true => instance_png(&frame.instance, width, height)?,
+        false => Bytes::new(),
+    };
+    let ignore = match ignore {
+        Some(mask) => grey_png(mask, width, height)?,
+        None => Bytes::new(),
+    };
+    Ok([
+        rgb_png(&frame.rgb8, width, height)?,
+        depth,
+        instance,
+        ignore,
+    ])
+}
+
+/// The boxes of placed objects; static ones only where a label says that they can be seen.
+pub(super) fn boxes(
+    objects: &[PlacedObject],
+    labels: &[FrameLabel],
+    world_from_local: &Rigid,
+    object_of: impl Fn(usize) -> SampleObject,
+) -> Vec<SampleBox> {
+    let is_labelled = |id: u16| labels.iter().any(|label| label.instance_id == id);
+    objects
+        .iter()
+        .filter(|o| o.origin != Origin::Static || is_labelled(o.instance_id))
+        .map(|o| SampleBox {
+            instance_id: o.instance_id,
+            origin: o.origin,
+            class: o.class,
+            world_from_object: *world_from_local * o.local_from_object,
+            size_m: o.size_m,
+            track_id: o.track_id.clone().unwrap_or_default(),
+            beyond_coverage: o.beyond_coverage,
+            object: o.asset.map(&object_of),
+        })
+        .collect()
+}
+
+/// Pixels are equal within one class: build, backend and instruction set.
+pub fn render_class() -> String {
+    let simd = match Simd::detect() {
+        Simd::Baseline => "baseline",
+        Simd::Avx2 => "avx2",
+        Simd::Avx512 => "avx512",
+    };
+    let (version, arch) = (env!("CARGO_PKG_VERSION"), std::env::consts::ARCH);
+    format!("backlot-{version} cpu {arch} {simd}")
+}
