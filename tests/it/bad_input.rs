@@ -371,7 +371,7 @@ async fn unknown_job(connection: &Connection) -> Refusal {
         case: "unknown job",
         status,
         codes: &[Code::NotFound],
-        names: &["jobs/0000"],
+        names: &["00000000-0000"],
     }
 }
 

@@ -16,7 +16,7 @@ async fn a_second_server_is_refused_and_the_first_goes_on() {
     let (status, said) = refused_start(&data);
     assert!(!status.success(), "{said}");
     assert!(
-        said.contains("in use") && said.contains(data.to_str().unwrap()),
+        said.contains("another server") && said.contains(data.to_str().unwrap()),
         "the cause is not named:\n{said}"
     );
     assert!(first.is_running());
@@ -85,7 +85,9 @@ async fn a_full_disk_refuses_writes_and_loses_nothing() {
         return;
     };
     let data = disk.path.join("data");
-    let arguments = ["--low-water-mib", "4", "--ballast-mib", "2"];
+    let limits = folder.path().join("limits.toml");
+    std::fs::write(&limits, "low_water_mib = 4\nballast_mib = 2\n").unwrap();
+    let arguments = ["--config", limits.to_str().unwrap()];
     let server = Server::start_on(&data, backlot_e2e::server::free_port(), &arguments).await;
     let connection = server.connect().await;
     let mut kept = Vec::new();

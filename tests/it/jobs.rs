@@ -45,13 +45,17 @@ async fn a_running_job_is_watched_and_cancelled() {
         .unwrap()
         .into_inner();
     let mut states = Vec::new();
+    let mut last = v1::Job::default();
     let mut asked = false;
     while let Some(message) = stream.message().await.unwrap() {
         let job = message.job.expect("a message holds a job");
         if states.last() != Some(&job.state()) {
             states.push(job.state());
         }
-        let stepping = job.progress.is_some_and(|progress| progress.step > 0);
+        let stepping = job
+            .progress
+            .as_ref()
+            .is_some_and(|progress| progress.step > 0);
         if job.state == v1::JobState::Running as i32 && stepping && !asked {
             connection
                 .jobs()
@@ -60,8 +64,13 @@ async fn a_running_job_is_watched_and_cancelled() {
                 .unwrap();
             asked = true;
         }
+        last = job;
     }
-    assert_eq!(states.last(), Some(&v1::JobState::Cancelled), "{states:?}");
+    assert_eq!(
+        states.last(),
+        Some(&v1::JobState::Cancelled),
+        "{states:?}: {last:?}"
+    );
     assert!(states.contains(&v1::JobState::Running), "{states:?}");
     let again = connection
         .jobs()

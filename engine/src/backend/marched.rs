@@ -85,3 +85,65 @@ impl Marched {
         &self.samples[start..start + self.summaries[ray].sample_count as usize]
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn weights_sum_to_what_the_optical_depth_hides() {
+        let sample = |t: f32, sigma: f32| RaySample { t, dt: 0.5, sigma };
+        let samples = [
+            sample(1.0, 0.2),
+            sample(1.5, 0.0),
+            sample(2.0, 3.0),
+            sample(2.5, 40.0),
+        ];
+        let summary = RaySummary::composite(&samples);
+        assert!(
+            (summary.accumulation - (1.0 - (-summary.tau).exp())).abs() < 1e-6,
+            "{summary:?}"
+        );
+        let expected = summary.expected_distance_m().unwrap();
+        assert!((1.0..2.5).contains(&expected), "{expected}");
+        assert_eq!(RaySummary::composite(&[]).expected_distance_m(), None);
+    }
+
+    #[test]
+    fn a_wall_is_seen_at_its_distance() {
+        let wall = RaySample {
+            t: 7.0,
+            dt: 0.1,
+            sigma: 1e4,
+        };
+        let summary = RaySummary::composite(&[
+            RaySample {
+                t: 3.0,
+                dt: 0.1,
+                sigma: 0.0,
+            },
+            wall,
+        ]);
+        assert_eq!(
+            (summary.accumulation, summary.expected_distance_m()),
+            (1.0, Some(7.0))
+        );
+    }
+
+    #[test]
+    fn more_samples_than_allowed_are_refused() {
+        let mut marched = Marched::with_capacity(1);
+        let samples = [RaySample::default(); 3];
+        assert!(
+            marched
+                .push(RaySummary::composite(&samples), &samples, 2)
+                .is_err()
+        );
+        assert!(
+            marched
+                .push(RaySummary::composite(&samples), &samples, 3)
+                .is_ok()
+        );
+        assert_eq!(marched.samples(0), samples);
+    }
+}

@@ -13,6 +13,9 @@ pub mod cpu;
 #[cfg(feature = "gpu")]
 pub mod gpu;
 
+#[cfg(test)]
+mod test_scene;
+
 pub use marched::{Marched, RaySummary};
 
 use std::fmt::Debug;

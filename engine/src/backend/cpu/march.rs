@@ -77,3 +77,44 @@ fn march_task(field: &Field, rays: &[MarchRay]) -> (Vec<u32>, Vec<RaySample>) {
     }
     (counts, samples)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::backend::test_scene::{SAMPLES_PER_RAY, field, march_cpu, rays};
+
+    #[test]
+    fn a_batch_is_every_ray_marched_alone() {
+        let field = Arc::new(field());
+        // More than one piece, and not a whole number of tasks.
+        let rays: Vec<MarchRay> = rays()
+            .into_iter()
+            .cycle()
+            .take(RAYS_PER_PIECE + RAYS_PER_TASK + 1)
+            .collect();
+        let marched = march_cpu(&field, &rays);
+        assert_eq!(marched.summaries().len(), rays.len());
+        let mut alone = Vec::new();
+        for (index, MarchRay { ray, range }) in rays.iter().enumerate() {
+            alone.clear();
+            let tau = field.march_ray(*ray, *range, &mut alone);
+            assert_eq!(marched.samples(index), alone, "ray {index}");
+            assert_eq!(marched.summaries()[index].tau, tau, "ray {index}");
+        }
+    }
+
+    #[test]
+    fn limits_and_cancellation_are_heeded() {
+        let field = CpuField::new(Arc::new(field()));
+        let rays = rays();
+        assert!(matches!(
+            field.march(&rays, 3, &|| false),
+            Err(Error::Invalid { .. })
+        ));
+        assert!(matches!(
+            field.march(&rays, SAMPLES_PER_RAY, &|| true),
+            Err(Error::Cancelled)
+        ));
+        assert!(field.resident_bytes() > 0);
+    }
+}

@@ -6,8 +6,8 @@ use glam::Vec3;
 
 use super::adapter::on_adapter;
 use super::compare::{Cpu, Gpu, compare};
-use super::scene::{SAMPLES_PER_RAY, away_from_faces, field, march, march_cpu, rays};
 use crate::backend::gpu::GpuBackend;
+use crate::backend::test_scene::{SAMPLES_PER_RAY, away_from_faces, field, march, march_cpu, rays};
 use crate::backend::{Backend, MarchRay, Marched, RaySummary};
 use crate::field::{Field, RaySample};
 use crate::{Error, ErrorKind};

@@ -7,5 +7,3 @@ mod adapter;
 mod compare;
 
 mod march;
-
-mod scene;

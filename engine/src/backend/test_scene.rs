@@ -13,10 +13,10 @@ use crate::field::{
 const LOW_M: Vec3 = Vec3::new(-3.0, -4.0, -1.0);
 const SIZE_M: Vec3 = Vec3::new(12.8, 9.6, 6.4);
 const CELL_M: f32 = 0.4;
-pub(super) const SAMPLES_PER_RAY: u32 = 256;
+pub(in crate::backend) const SAMPLES_PER_RAY: u32 = 256;
 
 /// Three levels (one dense, two sparse) of smooth density, with occupied and empty cells and blocks.
-pub(super) fn field() -> Field {
+pub(in crate::backend) fn field() -> Field {
     let mut levels = Vec::new();
     for (voxel_m, kept) in [(0.8, 1), (0.4, 2), (0.2, 3)] {
         let mut level = Lattice::new(voxel_m, LOW_M, SIZE_M).expect("the box is small");
@@ -85,7 +85,7 @@ fn positions(counts: UVec3) -> impl Iterator<Item = UVec3> {
 }
 
 /// Rays through the box, past it, from inside it, with different ranges; some stop early.
-pub(super) fn rays() -> Vec<MarchRay> {
+pub(in crate::backend) fn rays() -> Vec<MarchRay> {
     let eye = Vec3::new(-5.0, 1.1, 2.3);
     let mut rays = Vec::new();
     for i in 0..1500_u32 {
@@ -116,7 +116,7 @@ fn fraction(i: u32, step: f64) -> f32 {
 }
 
 /// The rays on which every decision of the CPU stays the same when the ray is moved by far more than f32 rounding.
-pub(super) fn away_from_faces(field: &Arc<Field>, rays: &[MarchRay]) -> Vec<MarchRay> {
+pub(in crate::backend) fn away_from_faces(field: &Arc<Field>, rays: &[MarchRay]) -> Vec<MarchRay> {
     /// Some hundred roundings of a coordinate of 16 m.
     const MOVED_M: f32 = 2e-4;
     let reference = march_cpu(field, rays);
@@ -146,12 +146,12 @@ fn moved(ray: &MarchRay, by_m: Vec3, stop_scale: f32) -> MarchRay {
     moved
 }
 
-pub(super) fn march_cpu(field: &Arc<Field>, rays: &[MarchRay]) -> Marched {
+pub(in crate::backend) fn march_cpu(field: &Arc<Field>, rays: &[MarchRay]) -> Marched {
     let loaded = CpuBackend.load(field).expect("the CPU loads any field");
     march(loaded.as_ref(), rays)
 }
 
-pub(super) fn march(loaded: &dyn LoadedField, rays: &[MarchRay]) -> Marched {
+pub(in crate::backend) fn march(loaded: &dyn LoadedField, rays: &[MarchRay]) -> Marched {
     loaded
         .march(rays, SAMPLES_PER_RAY, &|| false)
         .expect("the rays are within the limits")
