@@ -136,6 +136,7 @@ pub(super) fn scene_from_wire(wire: v1::RenderSceneRequest) -> Result<SceneReque
         objects,
         camera,
         world_from_camera,
+        insert_shadows: wire.insert_shadows,
         planes: Planes {
             depth: !wire.omit_depth,
             instance: !wire.omit_instance,

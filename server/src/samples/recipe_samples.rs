@@ -4,8 +4,8 @@ use std::sync::Arc;
 
 use backlot_engine::asset::AssetKind;
 use backlot_engine::scene::{
-    Candidate, Composition, Recipe, RenderOptions, Scene, Stage, compose, ignore_mask, label,
-    render,
+    Candidate, Composition, Recipe, RenderOptions, Scene, Stage, cast_shadows, compose,
+    ignore_mask, label, render, shadow_casters,
 };
 use backlot_engine::{Asset, Error as EngineError};
 
@@ -89,7 +89,14 @@ impl RecipeSamples {
         let assets = self.load_placed(&composition, cancelled)?;
         let field = |i: usize| assets[i].as_deref().map(|asset| &asset.field);
         let scene = Scene::of_composition(&self.background.field, &composition, field)?;
-        let frame = render(&scene, &RenderOptions::default(), cancelled)?;
+        let mut frame = render(&scene, &RenderOptions::default(), cancelled)?;
+        let sun = stage.recording.sun_direction_local;
+        cast_shadows(
+            &scene,
+            &shadow_casters(&composition, sun.is_some()),
+            sun,
+            &mut frame,
+        );
         let labels = label(&composition, stage.region, &frame);
         let ignore = ignore_mask(&composition, &frame);
         let [image_png, depth_png, instance_png, ignore_png] =
@@ -112,7 +119,7 @@ impl RecipeSamples {
                 object_of(&candidates[i])
             }),
             labels,
-            insert_shadows: false,
+            insert_shadows: composition.insert_shadows,
             synthetic: header.synthetic || placed().any(|i| self.objects.objects[i].synthetic),
             has_replay_only: placed().any(|i| !candidates[i].library),
             rejections: composition.rejections,

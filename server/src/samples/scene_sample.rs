@@ -7,7 +7,7 @@ use backlot_engine::asset::{AssetKind, Usage};
 use backlot_engine::camera::{Camera, Rigid};
 use backlot_engine::scene::{
     Composition, MAX_OBJECTS, Origin, PlacedObject, RenderOptions, Scene, SceneObject, ValidRegion,
-    label, render,
+    cast_shadows, label, render, shadow_casters,
 };
 use glam::{DQuat, DVec2};
 
@@ -26,6 +26,7 @@ pub struct SceneRequest {
     pub objects: Vec<SceneObjectRequest>,
     pub camera: Camera,
     pub world_from_camera: Rigid,
+    pub insert_shadows: bool,
     pub planes: Planes,
 }
 
@@ -114,7 +115,7 @@ fn composition(
             .collect(),
         left_out: Vec::new(),
         rejections: Default::default(),
-        insert_shadows: false,
+        insert_shadows: request.insert_shadows,
     }
 }
 
@@ -143,7 +144,13 @@ fn finish(
         camera: composition.camera,
         local_from_camera: composition.local_from_camera,
     };
-    let frame = render(&scene, &RenderOptions::default(), cancelled)?;
+    let mut frame = render(&scene, &RenderOptions::default(), cancelled)?;
+    let recording = background.and_then(|asset| asset.header.recording.as_ref());
+    let sun = recording.and_then(|recording| recording.sun_direction_local);
+    if request.insert_shadows {
+        let casters = shadow_casters(composition, sun.is_some());
+        cast_shadows(&scene, &casters, sun, &mut frame);
+    }
     let nowhere = ValidRegion::unseen(DVec2::ZERO, 1.0, 0, 0);
     let region = background.and_then(|asset| asset.header.valid_region.as_ref());
     let labels = label(composition, region.unwrap_or(&nowhere), &frame);
@@ -170,7 +177,7 @@ fn finish(
             }
         }),
         labels,
-        insert_shadows: false,
+        insert_shadows: request.insert_shadows,
         rejections: Default::default(),
         synthetic: used().any(|asset| asset.header.synthetic),
         has_replay_only: used().any(|asset| asset.header.usage == Usage::ReplayOnly),
