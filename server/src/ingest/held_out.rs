@@ -4,7 +4,7 @@ use backlot_engine::camera::Rigid;
 use backlot_engine::view::Split;
 
 /// A camera that moved less than this since the frame before sees the same picture again.
-const SAME_PLACE_M: f64 = 0.05;
+const SAME_PLACE_M: f64 = 0.1;
 const SAME_HEADING_RAD: f64 = 0.005;
 /// Of a standing camera's pictures one in this many is used: they add light changes and uncovered ground, not views.
 const STANDING_KEEP: usize = 4;

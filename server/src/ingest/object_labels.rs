@@ -139,6 +139,7 @@ impl Subject<'_> {
                 *span = Some(span.map_or((at.y, at.y), |(lo, hi)| (lo.min(at.y), hi.max(at.y))));
             }
         }
+        close_spans(&mut spans);
         let mut object = vec![false; width * height];
         for (x, span) in spans.iter().enumerate() {
             let Some((lo, hi)) = span else { continue };
@@ -247,6 +248,34 @@ impl Subject<'_> {
     }
 }
 
+/// Fills notches of the upper and lower outline that are narrower than an eighth of the object: glass returns nothing.
+fn close_spans(spans: &mut [Option<(f64, f64)>]) {
+    let known = spans.iter().flatten().count();
+    let reach = known / 16;
+    let near = |x: usize| x.saturating_sub(reach)..(x + reach + 1).min(spans.len());
+    let grown: Vec<Option<(f64, f64)>> = (0..spans.len())
+        .map(|x| merge_spans(&spans[near(x)], f64::min, f64::max))
+        .collect();
+    let closed: Vec<Option<(f64, f64)>> = (0..spans.len())
+        .map(|x| merge_spans(&grown[near(x)], f64::max, f64::min))
+        .collect();
+    for (span, closed) in spans.iter_mut().zip(closed) {
+        *span = span.and(closed);
+    }
+}
+
+fn merge_spans(
+    spans: &[Option<(f64, f64)>],
+    top: fn(f64, f64) -> f64,
+    bottom: fn(f64, f64) -> f64,
+) -> Option<(f64, f64)> {
+    spans
+        .iter()
+        .flatten()
+        .copied()
+        .reduce(|a, b| (top(a.0, b.0), bottom(a.1, b.1)))
+}
+
 /// Object and background pixels that touch each other mix both colours: neither supervises.
 fn rim_unknown(labels: &mut [PixelLabel], width: usize) {
     use PixelLabel::{Background, Foreground};
@@ -288,4 +317,30 @@ pub(super) fn crop_around(camera: &Camera, outline: &Outline, size_m: DVec3) -> 
         width: hi.x - lo.x,
         height: hi.y - lo.y,
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn narrow_notches_of_the_outline_are_closed_and_wide_ones_kept() {
+        let mut spans = vec![Some((10.0, 90.0)); 160];
+        spans[40..50].fill(Some((60.0, 90.0)));
+        spans[100..140].fill(Some((60.0, 90.0)));
+        close_spans(&mut spans);
+        assert!(spans[..100].iter().all(|s| *s == Some((10.0, 90.0))));
+        assert_eq!(spans[120], Some((60.0, 90.0)));
+        let mut nothing = vec![None; 10];
+        close_spans(&mut nothing);
+        assert_eq!(nothing, vec![None; 10]);
+    }
+
+    #[test]
+    fn only_pixels_on_the_outline_become_unknown() {
+        use PixelLabel::{Background as B, Foreground as F, Unknown as U};
+        let mut labels = vec![B, B, F, F, F, F, B, B];
+        rim_unknown(&mut labels, 8);
+        assert_eq!(labels, [B, U, U, F, F, U, U, B]);
+    }
 }
