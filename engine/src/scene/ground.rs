@@ -3,14 +3,15 @@
 //! The path is known to be road, so the search for the surface starts there and carries a prediction from cell to cell: a roof or a
 //! wall is never taken for ground, because it steps away from the prediction, and small holes are bridged.
 
-use std::collections::VecDeque;
+use std::collections::{HashMap, VecDeque};
 
-use glam::DVec2;
+use glam::{DVec2, DVec3};
 
 use super::density::DensityField;
+use super::footprint::GroundPlane;
 use super::path::DrivenPath;
 use super::region_builder::RegionConfig;
-use super::valid_region::{NO_GROUND, ValidRegion};
+use super::valid_region::ValidRegion;
 
 /// What growing found at a cell.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -35,6 +36,10 @@ const MAX_HOLE_CELLS: u8 = 2;
 const CAMERA_HEIGHT_M: (f64, f64) = (0.4, 4.0);
 /// Ahead of the last pose, the path's own height is trusted this far.
 const SEED_AHEAD_M: usize = 10;
+/// The road's plane is fitted to ground this near to the path: about its own lane.
+const ROAD_PLANE_M: f64 = 2.5;
+/// Of eight; a kerb or wall cell has at most five on the road's side.
+const HEALING_NEIGHBOURS: usize = 6;
 
 /// Fills `region.ground_m` and says what was found per cell; `None` if no road is found under the path.
 pub(super) fn grow_ground(
@@ -76,7 +81,8 @@ pub(super) fn grow_ground(
         }
     }
     smooth(region, &found);
-    reject_off_road(path, camera_height, config, region, &mut found);
+    reject_off_road(path, config, region, &mut found);
+    heal(region, &mut found);
     Some(found)
 }
 
@@ -212,27 +218,67 @@ fn smooth(region: &mut ValidRegion, found: &[Found]) {
     }
 }
 
-/// Pavements and verges leave the plane of the road: limits the height above or below the path's ground by distance from it.
+/// Pavements and verges leave the plane of the road: limits the height off the plane fitted to the ground near the path.
 fn reject_off_road(
     path: &DrivenPath,
-    camera_height: f64,
     config: &RegionConfig,
     region: &ValidRegion,
     found: &mut [Found],
 ) {
+    let mut planes: HashMap<usize, Option<GroundPlane>> = HashMap::new();
+    let grounded = found.to_vec();
     for (cell, found) in found.iter_mut().enumerate() {
         if *found != Found::Ground {
             continue;
         }
-        let beside = path.beside(region.centre(cell));
-        let under_path = region
-            .index_at(beside.foot)
-            .map(|i| region.ground_m[i])
-            .filter(|z| *z != NO_GROUND)
-            .unwrap_or(beside.camera_z - camera_height);
-        let limit = config.max_step_m + config.cross_slope * beside.distance_m;
-        if (region.ground_m[cell] - under_path).abs() > limit {
+        let centre = region.centre(cell);
+        let beside = path.beside(centre);
+        let plane = region.index_at(beside.foot).and_then(|foot| {
+            *planes
+                .entry(foot)
+                .or_insert_with(|| road_plane(region, &grounded, foot))
+        });
+        let limit = config.max_step_m + config.off_plane * beside.distance_m;
+        let off = plane.map_or(f64::INFINITY, |p| {
+            (region.ground_m[cell] - p.height_at(centre)).abs()
+        });
+        if off > limit {
             *found = Found::Step;
+        }
+    }
+}
+
+/// Plane of the ground within [`ROAD_PLANE_M`] of a cell under the path.
+fn road_plane(region: &ValidRegion, found: &[Found], foot: usize) -> Option<GroundPlane> {
+    let reach = libm::ceil(ROAD_PLANE_M / region.cell_m) as i64;
+    let (columns, rows) = (region.columns as i64, region.rows as i64);
+    let (column, row) = (foot as i64 % columns, foot as i64 / columns);
+    let around = (-reach..=reach).flat_map(|dy| (-reach..=reach).map(move |dx| (dx, dy)));
+    let points: Vec<DVec3> = around
+        .map(|(dx, dy)| (column + dx, row + dy))
+        .filter(|(x, y)| (0..columns).contains(x) && (0..rows).contains(y))
+        .map(|(x, y)| (y * columns + x) as usize)
+        .filter(|cell| found[*cell] == Found::Ground)
+        .map(|cell| region.centre(cell).extend(region.ground_m[cell]))
+        .collect();
+    GroundPlane::fit(&points)
+}
+
+/// A lone cell amid road that stepped or had no surface is an error of the field: it takes its neighbours' height.
+fn heal(region: &mut ValidRegion, found: &mut [Found]) {
+    let before = found.to_vec();
+    for cell in 0..found.len() {
+        if !matches!(before[cell], Found::Step | Found::Hole(_)) {
+            continue;
+        }
+        let mut heights: Vec<f64> = neighbours(region, cell, true)
+            .filter(|n| before[*n] == Found::Ground)
+            .map(|n| region.ground_m[n])
+            .collect();
+        if heights.len() >= HEALING_NEIGHBOURS {
+            heights.sort_by(f64::total_cmp);
+            region.ground_m[cell] = heights[heights.len() / 2];
+            found[cell] = Found::Ground;
         }
     }
 }

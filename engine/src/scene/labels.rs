@@ -19,7 +19,7 @@ pub struct FrameLabel {
     pub visible: PixelBox,
     /// At least 1: an object without a visible pixel has no label.
     pub visible_px: u32,
-    /// Visible pixels over those the object would have alone, 0..=1. For a static original: over those it has without inserts.
+    /// Visible pixels over those the object would have alone in the image, 0..=1.
     pub visible_fraction: f64,
     /// Fraction of the amodal box outside the image, 0..=1.
     pub truncation: f64,

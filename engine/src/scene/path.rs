@@ -16,7 +16,6 @@ pub(super) struct DrivenPath {
 pub(super) struct Beside {
     pub(super) distance_m: f64,
     /// Height of the camera where it passed.
-    pub(super) camera_z: f64,
     /// Nearest point of the path.
     pub(super) foot: DVec2,
     /// The point lies before the path's start or past its end.
@@ -71,7 +70,6 @@ impl DrivenPath {
             .min_by(|a, b| a.distance_m.total_cmp(&b.distance_m))
             .unwrap_or(Beside {
                 distance_m: (self.points[0].truncate() - p).length(),
-                camera_z: self.points[0].z,
                 foot: self.points[0].truncate(),
                 beyond: true,
             })
@@ -84,7 +82,6 @@ fn foot_on(a: DVec3, b: DVec3, p: DVec2, first: bool, last: bool) -> Beside {
     let foot = a.lerp(b, fraction.clamp(0.0, 1.0));
     Beside {
         distance_m: (foot.truncate() - p).length(),
-        camera_z: foot.z,
         foot: foot.truncate(),
         beyond: (first && fraction < 0.0) || (last && fraction > 1.0),
     }

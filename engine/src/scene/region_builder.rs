@@ -28,8 +28,8 @@ pub struct RegionConfig {
     pub ahead_m: f64,
     /// Largest step between neighbouring cells.
     pub max_step_m: f64,
-    /// Largest height off the path's ground per metre beside it.
-    pub cross_slope: f64,
+    /// How far ground may lie off the plane of the road under the path: `max_step_m` and this per metre beside the path.
+    pub off_plane: f64,
     /// Views in which ground and the space above it must be seen.
     pub min_views: usize,
     /// Views tried per cell, spread evenly over those that might see it.
@@ -53,8 +53,8 @@ impl Default for RegionConfig {
             ahead_m: 40.0,
             // Half a kerb.
             max_step_m: 0.07,
-            // Roads are drained by a camber of 2 to 3 %.
-            cross_slope: 0.03,
+            // The other side of a crowned road falls away; a kerb of 0.12 m at 5 m is still seen.
+            off_plane: 0.01,
             min_views: 2,
             max_views: 8,
             view_range_m: 40.0,

@@ -7,7 +7,7 @@ use glam::{DVec2, Vec3};
 use super::merge::{composite, merge};
 use super::projection::PixelBox;
 use super::render::{Prepared, PreparedStatic};
-use crate::field::{ColorScratch, RaySample};
+use crate::field::{ColorScratch, Ray, RaySample};
 
 /// Side of a tile: large enough to fill colour batches, small enough to spread over threads.
 pub(super) const TILE_PX: u32 = 32;
@@ -24,6 +24,7 @@ const BELOW_WHEELS_M: f32 = 0.02;
 /// The lowest part of a static object's cuboid is road.
 const STATIC_GROUND_M: f32 = 0.2;
 const HALF: f32 = 0.5;
+const HALF_TAU: f32 = std::f32::consts::LN_2;
 
 /// One finished pixel.
 #[derive(Clone, Copy, Debug, Default)]
@@ -328,9 +329,17 @@ impl<'a> TileRenderer<'a> {
         heaviest.map_or(0, |i| self.scene.objects[*i].instance_id)
     }
 
-    /// Marks the pixel of a static object whose cuboid holds its surface, and counts what it would have without inserts.
-    fn find_static(&self, ray: EyeRay, hit: Hit, centre: DVec2, index: u32, tile: &mut TileResult) {
-        for (i, object) in self.scene.statics.iter().enumerate() {
+    /// Marks the pixel of a static object whose cuboid holds its surface, and counts the pixels it would have alone.
+    fn find_static(
+        &mut self,
+        ray: EyeRay,
+        hit: Hit,
+        centre: DVec2,
+        index: u32,
+        tile: &mut TileResult,
+    ) {
+        let scene = self.scene;
+        for (i, object) in scene.statics.iter().enumerate() {
             if !touches(&object.pixels, centre) {
                 continue;
             }
@@ -338,11 +347,34 @@ impl<'a> TileRenderer<'a> {
             if pixel.instance == 0 && hit.half_t.is_some_and(|t| holds(object, ray, t)) {
                 pixel.instance = object.instance_id;
             }
-            if hit.background_half_t.is_some_and(|t| holds(object, ray, t)) {
-                let owner = pixel.instance;
-                tile.count_alone(self.scene.objects.len() + i, object.instance_id, owner);
+            let owner = pixel.instance;
+            let alone = hit.background_half_t.is_some_and(|t| holds(object, ray, t))
+                || self.is_solid_within(object, ray);
+            if alone {
+                tile.count_alone(scene.objects.len() + i, object.instance_id, owner);
             }
         }
+    }
+
+    /// Whether the background inside a static object's cuboid would stop the ray if nothing stood before it.
+    fn is_solid_within(&mut self, object: &PreparedStatic, ray: EyeRay) -> bool {
+        let Some(background) = self.scene.background else {
+            return false;
+        };
+        let to_object = &object.object_from_local;
+        let local = Ray {
+            origin: to_object.point(ray.origin.as_dvec3()).as_vec3(),
+            direction: to_object.direction(ray.direction.as_dvec3()).as_vec3(),
+        };
+        let low = (-object.half_m).with_z(-object.half_m.z + STATIC_GROUND_M);
+        let Some((enter, leave)) = local.cross_box(low, object.half_m) else {
+            return false;
+        };
+        let samples = &mut self.sources[0];
+        samples.clear();
+        let (origin, direction) = (ray.origin, ray.direction);
+        let tau = background.march(origin, direction, enter, leave, HALF_TAU, samples);
+        tau >= HALF_TAU
     }
 
     /// Colours every queued sample and adds it to its pixel.
