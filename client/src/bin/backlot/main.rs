@@ -49,7 +49,7 @@ async fn run(arguments: Arguments) -> anyhow::Result<()> {
 /// Logs go to standard error, warnings and errors by default; `RUST_LOG` chooses otherwise.
 fn start_tracing() {
     let filter = tracing_subscriber::EnvFilter::try_from_default_env()
-        .unwrap_or_else(|_| tracing_subscriber::EnvFilter::new("warn"));
+        .unwrap_or_else(|_| tracing_subscriber::EnvFilter::new("warn,tower_http=error"));
     tracing_subscriber::fmt()
         .with_env_filter(filter)
         .with_writer(std::io::stderr)

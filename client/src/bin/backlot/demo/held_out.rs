@@ -120,8 +120,17 @@ async fn render(
         omit_instance: true,
         ..Default::default()
     };
+    render_scene(connection, request, frame.frame_index).await
+}
+
+/// Renders one explicit scene.
+pub(crate) async fn render_scene(
+    connection: &Connection,
+    request: v1::RenderSceneRequest,
+    frame_index: u32,
+) -> anyhow::Result<v1::SampleFrame> {
     let reply = connection.samples().render_scene(request).await;
-    let doing = format!("rendering held-out frame {}", frame.frame_index);
+    let doing = format!("rendering held-out frame {frame_index}");
     let reply = reply.map_err(|status| Error::from_status(&doing, status))?;
     let sample = reply
         .into_inner()
@@ -134,7 +143,7 @@ async fn render(
         .context("the sample holds no frame")
 }
 
-fn wire_view(view: &View) -> v1::CameraView {
+pub(crate) fn wire_view(view: &View) -> v1::CameraView {
     let camera = &view.camera;
     v1::CameraView {
         width: camera.width,

@@ -8,6 +8,7 @@ mod stages;
 mod exact;
 mod figures;
 mod held_out;
+mod held_out_objects;
 mod sheet;
 
 mod machine;
@@ -86,6 +87,12 @@ async fn run_against(
             held_out::measure(connection, source, &library, &options.out),
         )
         .await?;
+    let object_psnr = stages
+        .time(
+            "held_out_objects",
+            measure_objects(connection, source, &library, &options.out),
+        )
+        .await?;
     let exact = stages.time_blocking("exact", || {
         compare_with_exact(source, &library, &samples, &options.out)
     })?;
@@ -96,6 +103,7 @@ async fn run_against(
         log: &source.log.drive_log,
         library: &library,
         held_out,
+        object_psnr,
         samples: &samples,
         exact,
         stages,
@@ -174,6 +182,24 @@ async fn render_samples(
     let provenance = samples.first().and_then(|sample| sample.provenance.clone());
     files.write_index(&provenance.unwrap_or_default())?;
     Ok(samples)
+}
+
+/// Held-out PSNR of the log's own objects by asset, from written files; empty for a recorded log, which has no exact masks.
+async fn measure_objects(
+    connection: &Connection,
+    source: &Source,
+    library: &Library,
+    out: &Path,
+) -> anyhow::Result<BTreeMap<String, f64>> {
+    let mut measured = BTreeMap::new();
+    let Some(street) = &source.street else {
+        return Ok(measured);
+    };
+    for asset in &library.objects {
+        let psnr = held_out_objects::measure(connection, source, street, asset, out).await?;
+        measured.extend(psnr.map(|psnr| (asset.name.clone(), psnr)));
+    }
+    Ok(measured)
 }
 
 fn compare_with_exact(

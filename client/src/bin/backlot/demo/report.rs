@@ -62,8 +62,10 @@ pub(crate) struct BackgroundReport {
 pub(crate) struct ObjectReport {
     pub asset: String,
     pub class: String,
-    /// Inside the mask on held-out frames, as the trainer measured it.
+    /// Inside the exact mask on held-out frames where the log is generated, otherwise the trainer's figure.
     pub psnr_held_out: Option<f64>,
+    /// As the trainer measured it.
+    pub psnr_held_out_in_training: Option<f64>,
     pub usage: String,
     pub usage_reason: String,
     pub source_log: String,
@@ -84,6 +86,8 @@ pub(crate) struct Findings<'a> {
     pub log: &'a v1::DriveLog,
     pub library: &'a Library,
     pub held_out: Vec<HeldOutFrame>,
+    /// By asset name.
+    pub object_psnr: BTreeMap<String, f64>,
     pub samples: &'a [v1::Sample],
     pub exact: Vec<ExactComparison>,
     pub stages: &'a Stages,
@@ -98,7 +102,7 @@ impl Report {
             dataset: findings.log.dataset.clone(),
             synthetic: findings.log.synthetic,
             background: background(&findings.library.background, findings.held_out),
-            objects: objects(findings.library),
+            objects: objects(findings.library, &findings.object_psnr),
             samples: findings.samples.len(),
             sample_psnr_vs_exact: mean(psnr()),
             sample_psnr_vs_exact_min: psnr().reduce(f64::min),
@@ -142,17 +146,18 @@ fn background(asset: &v1::Asset, held_out: Vec<HeldOutFrame>) -> BackgroundRepor
     }
 }
 
-fn objects(library: &Library) -> Vec<ObjectReport> {
+fn objects(library: &Library, psnr: &BTreeMap<String, f64>) -> Vec<ObjectReport> {
     let all = library.objects.iter().chain(&library.supplied);
     all.map(|asset| {
-        let quality = asset.quality.clone().unwrap_or_default();
+        let in_training = measured(asset.quality.as_ref().map_or(f64::NAN, |q| q.psnr_held_out));
         ObjectReport {
             asset: asset.name.clone(),
             class: asset
                 .object_class()
                 .as_str_name()
                 .replace("OBJECT_CLASS_", ""),
-            psnr_held_out: measured(quality.psnr_held_out),
+            psnr_held_out: psnr.get(&asset.name).copied().or(in_training),
+            psnr_held_out_in_training: in_training,
             usage: asset.usage().as_str_name().replace("ASSET_USAGE_", ""),
             usage_reason: asset.usage_reason.clone(),
             source_log: asset.source_log.clone(),

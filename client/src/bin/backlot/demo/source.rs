@@ -28,7 +28,7 @@ impl Source {
             (Some(path), Some(LogFormat::KittiRaw)) => Ok(Self {
                 log: input::read_kitti(path, &options.parts)?,
                 street: None,
-                name: "driveLogs/recorded".to_owned(),
+                name: format!("driveLogs/{}", id_of(path)),
             }),
             (None, None | Some(LogFormat::Generated)) => {
                 let config = StreetConfig {
@@ -95,4 +95,14 @@ impl Source {
             world_from_camera: world_from_ego * rigid_from_wire(camera.ego_from_camera.as_ref()),
         })
     }
+}
+
+/// A resource id from the folder's name.
+fn id_of(path: &std::path::Path) -> String {
+    let name = path.file_name().map(|n| n.to_string_lossy().to_lowercase());
+    let name = name.unwrap_or_default();
+    let allowed = |c: char| if c.is_ascii_alphanumeric() { c } else { '-' };
+    let id: String = name.chars().map(allowed).take(63).collect();
+    let id = id.trim_start_matches('-');
+    if id.is_empty() { "recorded" } else { id }.to_owned()
 }
