@@ -27,6 +27,9 @@ mod object;
 mod object_labels;
 mod object_plan;
 
+#[cfg(test)]
+mod decompose_tests;
+
 pub(crate) use background::{BackgroundSet, background_set, recording};
 pub use content::LogBlobs;
 pub use frame::FrameError;
