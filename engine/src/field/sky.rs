@@ -60,12 +60,13 @@ impl SkyGrid {
         let elevation = libm::asinf(direction.z.clamp(-1.0, 1.0));
         let u = (heading / TAU + 0.5) * self.width as f32 - 0.5;
         let v = (elevation / PI + 0.5) * self.height as f32 - 0.5;
-        let (u0, v0) = (u.floor(), v.floor());
-        let (fu, fv) = (u - u0, v - v0);
-        let left = (u0 as i32).rem_euclid(self.width as i32) as u32;
+        // Both are above -1, so truncation after a shift is the floor, without a call where the target has no rounding.
+        let (u0, v0) = ((u + 1.0) as i32 - 1, (v + 1.0) as i32 - 1);
+        let (fu, fv) = (u - u0 as f32, v - v0 as f32);
+        let left = u0.rem_euclid(self.width as i32) as u32;
         let right = (left + 1) % self.width;
-        let low = (v0 as i32).clamp(0, self.height as i32 - 1) as u32;
-        let high = (v0 as i32 + 1).clamp(0, self.height as i32 - 1) as u32;
+        let low = v0.clamp(0, self.height as i32 - 1) as u32;
+        let high = (v0 + 1).clamp(0, self.height as i32 - 1) as u32;
         SkyTexels {
             texels: [
                 low * self.width + left,

@@ -4,6 +4,7 @@ use std::ops::Range;
 
 use glam::Vec3;
 
+use super::lanes::Lanes;
 use super::mlp::{MlpBatch, PADDED_FEATURES, TransposedWeights};
 use super::simd::{Simd, dispatch};
 use crate::field::lattice::{BRICK_NODES, Corners, FEATURES, NULL_BRICK};
@@ -349,7 +350,7 @@ dispatch!(fn march => march_generic(chunk: &mut Chunk, field: &Field, rays: &[Tr
 dispatch!(fn gather => gather_generic(chunk: &mut Chunk, field: &Field));
 
 #[inline(always)]
-fn march_generic<const R: usize, const C: usize, const FMA: bool>(
+fn march_generic<L: Lanes, const R: usize, const V: usize>(
     chunk: &mut Chunk,
     field: &Field,
     rays: &[TrainRay],
@@ -370,10 +371,7 @@ fn march_generic<const R: usize, const C: usize, const FMA: bool>(
 }
 
 #[inline(always)]
-fn gather_generic<const R: usize, const C: usize, const FMA: bool>(
-    chunk: &mut Chunk,
-    field: &Field,
-) {
+fn gather_generic<L: Lanes, const R: usize, const V: usize>(chunk: &mut Chunk, field: &Field) {
     let out = &mut chunk.batch.features;
     out.resize(chunk.positions.len() * PADDED_FEATURES, 0.0);
     for (p, out) in chunk

@@ -3,6 +3,7 @@
 //! Samples are grouped by ray. The view's share of the first layer is the same for all samples of a ray and is computed
 //! once per ray, which leaves 12 of 39 inputs per sample.
 
+use super::lanes::Lanes;
 use super::matmul::{Finish, add_product, add_transposed_product};
 use super::simd::{Simd, dispatch};
 use crate::field::activation::sigmoid;
@@ -116,10 +117,7 @@ fn resize(buffer: &mut Vec<f32>, len: usize) {
 }
 
 #[inline(always)]
-fn forward_generic<const R: usize, const C: usize, const FMA: bool>(
-    mlp: &ColorMlp,
-    batch: &mut MlpBatch,
-) {
+fn forward_generic<L: Lanes, const R: usize, const V: usize>(mlp: &ColorMlp, batch: &mut MlpBatch) {
     let (layout, p) = (mlp.layout(), mlp.parameters());
     let width = layout.width;
     let (samples, rays) = (batch.sample_count(), batch.ray_ends.len());
@@ -129,7 +127,7 @@ fn forward_generic<const R: usize, const C: usize, const FMA: bool>(
     fill_rows(&mut batch.rays, &p[layout.b1()]);
     let shape = (rays, width, VIEW_INPUTS);
     let (views, out) = (&batch.views, &mut batch.rays);
-    add_product::<R, C, FMA>(shape, views, VIEW_INPUTS, w1_views, out, Finish::Keep);
+    add_product::<L, R, V>(shape, views, VIEW_INPUTS, w1_views, out, Finish::Keep);
 
     resize(&mut batch.hidden1, samples * width);
     let mut start = 0;
@@ -140,7 +138,7 @@ fn forward_generic<const R: usize, const C: usize, const FMA: bool>(
     }
     let shape = (samples, width, FEATURES);
     let (features, out) = (&batch.features, &mut batch.hidden1);
-    add_product::<R, C, FMA>(
+    add_product::<L, R, V>(
         shape,
         features,
         PADDED_FEATURES,
@@ -153,18 +151,18 @@ fn forward_generic<const R: usize, const C: usize, const FMA: bool>(
     fill_rows(&mut batch.hidden2, &p[layout.b2()]);
     let shape = (samples, width, width);
     let (input, out) = (&batch.hidden1, &mut batch.hidden2);
-    add_product::<R, C, FMA>(shape, input, width, &p[layout.w2()], out, Finish::Relu);
+    add_product::<L, R, V>(shape, input, width, &p[layout.w2()], out, Finish::Relu);
 
     resize(&mut batch.colors, samples * MLP_OUTPUTS);
     fill_rows(&mut batch.colors, &p[layout.b3()]);
     let shape = (samples, MLP_OUTPUTS, width);
     let (input, out) = (&batch.hidden2, &mut batch.colors);
-    add_product::<R, C, FMA>(shape, input, width, &p[layout.w3()], out, Finish::Keep);
+    add_product::<L, R, V>(shape, input, width, &p[layout.w3()], out, Finish::Keep);
     batch.colors.iter_mut().for_each(|x| *x = sigmoid(*x));
 }
 
 #[inline(always)]
-fn backward_generic<const R: usize, const C: usize, const FMA: bool>(
+fn backward_generic<L: Lanes, const R: usize, const V: usize>(
     weights: &TransposedWeights,
     batch: &mut MlpBatch,
 ) {
@@ -182,13 +180,13 @@ fn backward_generic<const R: usize, const C: usize, const FMA: bool>(
     let out = &batch.color_gradients;
     let shape = (samples, width, MLP_OUTPUTS);
     let w3 = &mut gradients[layout.w3()];
-    add_transposed_product::<R, C, FMA>(shape, &batch.hidden2, width, out, w3);
+    add_transposed_product::<L, R, V>(shape, &batch.hidden2, width, out, w3);
     add_rows(out, &mut gradients[layout.b3()]);
 
     resize(&mut batch.gradient2, samples * width);
     let to = &mut batch.gradient2;
     let from = &weights.w3_transposed;
-    add_product::<R, C, FMA>(
+    add_product::<L, R, V>(
         (samples, width, MLP_OUTPUTS),
         out,
         MLP_OUTPUTS,
@@ -199,18 +197,18 @@ fn backward_generic<const R: usize, const C: usize, const FMA: bool>(
     through_relu(&mut batch.gradient2, &batch.hidden2);
     let shape = (samples, width, width);
     let w2 = &mut gradients[layout.w2()];
-    add_transposed_product::<R, C, FMA>(shape, &batch.hidden1, width, &batch.gradient2, w2);
+    add_transposed_product::<L, R, V>(shape, &batch.hidden1, width, &batch.gradient2, w2);
     add_rows(&batch.gradient2, &mut gradients[layout.b2()]);
 
     resize(&mut batch.gradient1, samples * width);
     let (from, to) = (&batch.gradient2, &mut batch.gradient1);
-    add_product::<R, C, FMA>(shape, from, width, &weights.w2_transposed, to, Finish::Keep);
+    add_product::<L, R, V>(shape, from, width, &weights.w2_transposed, to, Finish::Keep);
     through_relu(&mut batch.gradient1, &batch.hidden1);
 
     let (w1_features, w1_views) = gradients[layout.w1()].split_at_mut(FEATURES * width);
     let shape = (samples, FEATURES, width);
     let (input, from) = (&batch.features, &batch.gradient1);
-    add_transposed_product::<R, C, FMA>(shape, input, PADDED_FEATURES, from, w1_features);
+    add_transposed_product::<L, R, V>(shape, input, PADDED_FEATURES, from, w1_features);
     resize(&mut batch.rays, rays * width);
     let mut start = 0;
     for (end, sum) in batch
@@ -223,13 +221,13 @@ fn backward_generic<const R: usize, const C: usize, const FMA: bool>(
         start = end;
     }
     let shape = (rays, VIEW_INPUTS, width);
-    add_transposed_product::<R, C, FMA>(shape, &batch.views, VIEW_INPUTS, &batch.rays, w1_views);
+    add_transposed_product::<L, R, V>(shape, &batch.views, VIEW_INPUTS, &batch.rays, w1_views);
     add_rows(&batch.rays, &mut gradients[layout.b1()]);
 
     resize(&mut batch.feature_gradients, samples * PADDED_FEATURES);
     let (from, to) = (&batch.gradient1, &mut batch.feature_gradients);
     let shape = (samples, PADDED_FEATURES, width);
-    add_product::<R, C, FMA>(shape, from, width, &weights.w1_transposed, to, Finish::Keep);
+    add_product::<L, R, V>(shape, from, width, &weights.w1_transposed, to, Finish::Keep);
 }
 
 #[inline(always)]

@@ -5,6 +5,7 @@
 
 mod adam;
 mod chunk;
+mod lanes;
 mod march;
 mod matmul;
 pub(crate) mod mlp;

@@ -7,6 +7,7 @@ use glam::{IVec3, Vec3};
 use rayon::prelude::*;
 
 use super::chunk::{Chunk, NO_SLOT};
+use super::lanes::Lanes;
 use super::mlp::PADDED_FEATURES;
 use super::simd::{Simd, dispatch};
 use crate::field::lattice::{BRICK_NODES, BRICK_SIDE, FEATURES, Lattice};
@@ -169,7 +170,7 @@ dispatch!(fn step_brick => step_brick_generic(
 ));
 
 #[inline(always)]
-fn step_brick_generic<const R: usize, const C: usize, const FMA: bool>(
+fn step_brick_generic<L: Lanes, const R: usize, const V: usize>(
     owned: &mut OwnedBrick<'_>,
     points: &[u32],
     chunks: &[Chunk],

@@ -50,9 +50,9 @@ fn detect() -> Simd {
     Simd::Baseline
 }
 
-/// Defines `$name(simd, args...)`, which calls the generic `$body::<ROWS, COLUMNS, FMA>` compiled for the path `simd`.
+/// Defines `$name(simd, args...)`, which calls the generic `$body::<L, ROWS, VECTORS>` compiled for the path `simd`.
 ///
-/// ROWS x COLUMNS is the register tile of the matrix kernels: as many accumulators as the path has registers for.
+/// L is the path's register; ROWS x VECTORS of them are the tile of the matrix kernels, leaving some for operands.
 macro_rules! dispatch {
     ($(#[$meta:meta])* $vis:vis fn $name:ident => $body:ident($($arg:ident: $ty:ty),* $(,)?)) => {
         $(#[$meta])*
@@ -60,12 +60,12 @@ macro_rules! dispatch {
             #[cfg(target_arch = "x86_64")]
             #[target_feature(enable = "avx512f,avx512vl,avx512dq,avx512bw,avx2,fma")]
             fn avx512($($arg: $ty),*) {
-                $body::<6, 64, true>($($arg),*);
+                $body::<$crate::backend::cpu::lanes::Lanes16, 6, 4>($($arg),*);
             }
             #[cfg(target_arch = "x86_64")]
             #[target_feature(enable = "avx2,fma")]
             fn avx2($($arg: $ty),*) {
-                $body::<6, 16, true>($($arg),*);
+                $body::<$crate::backend::cpu::lanes::Lanes8, 6, 2>($($arg),*);
             }
             match simd {
                 // SAFETY: `Simd::detect` names a path only where the machine has its features.
@@ -74,7 +74,7 @@ macro_rules! dispatch {
                 // SAFETY: as above.
                 #[cfg(target_arch = "x86_64")]
                 $crate::backend::cpu::Simd::Avx2 => unsafe { avx2($($arg),*) },
-                _ => $body::<4, 8, false>($($arg),*),
+                _ => $body::<$crate::backend::cpu::lanes::Lanes4, 4, 2>($($arg),*),
             }
         }
     };
