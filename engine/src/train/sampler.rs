@@ -1,6 +1,6 @@
 //! Draws the rays of a step from the training views.
 
-use glam::{DVec2, DVec3, Vec3};
+use glam::{DVec2, DVec3};
 use rayon::prelude::*;
 
 use super::ray::{Backdrop, Silhouette, TrainRay};
@@ -248,6 +248,6 @@ pub(crate) fn view_ray(view: &TrainView, pixel: DVec2) -> Ray {
         .direction(view.camera.direction(pixel));
     Ray {
         origin: view.local_from_camera.translation_m.as_vec3(),
-        direction: Vec3::from(direction.as_vec3()),
+        direction: direction.as_vec3(),
     }
 }

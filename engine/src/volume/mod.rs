@@ -2,6 +2,8 @@
 
 mod composite;
 mod loss;
+#[cfg(test)]
+mod tests;
 
 pub use composite::{Weights, add_optical_depth_gradient, weights};
 pub use loss::{

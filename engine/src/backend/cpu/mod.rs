@@ -11,6 +11,8 @@ mod matmul;
 pub(crate) mod mlp;
 mod scatter;
 mod simd;
+#[cfg(test)]
+mod tests;
 mod trainer;
 
 pub use simd::Simd;
