@@ -8,6 +8,8 @@ mod bad_input;
 
 mod data_dir;
 
+mod container;
+
 mod power_cut;
 
 mod tidy;
