@@ -128,6 +128,10 @@ fn open_consistently(folder: &Path) -> Result<(Journal, Index)> {
         tracing::info!("cut an unfinished transaction off the journal");
     }
     let journal = Journal::open(&path, &replay)?;
+    if opened.applied_seq == replay.last_seq && opened.content == replay.state {
+        // Nothing is written, so that a full disk can be opened.
+        return Ok((journal, opened.index));
+    }
     let repaired = opened
         .index
         .repair(&opened.content, &replay.state, replay.last_seq)?;
