@@ -15,6 +15,8 @@ pub struct ViewCoverage {
     pub azimuth_views: [u32; AZIMUTH_SECTORS],
     /// Sectors seen only through the mirror symmetry.
     pub azimuth_mirrored: [bool; AZIMUTH_SECTORS],
+    /// Azimuth of every training camera, and of its mirror image for a symmetric object; radians in (-pi, pi], ascending.
+    pub azimuths_rad: Vec<f64>,
     pub elevation_min_rad: f64,
     pub elevation_max_rad: f64,
     pub distance_min_m: f64,
@@ -28,13 +30,18 @@ impl ViewCoverage {
         for (number, pose) in object_from_camera.iter().enumerate() {
             coverage.add(pose.translation_m, number == 0);
         }
+        let azimuths = object_from_camera.iter().map(azimuth_of);
+        coverage.azimuths_rad = azimuths.collect();
         if symmetric {
+            let mirrored: Vec<f64> = coverage.azimuths_rad.iter().map(|a| -a).collect();
+            coverage.azimuths_rad.extend(mirrored);
             for sector in 0..AZIMUTH_SECTORS {
                 // Mirroring y turns azimuth a into -a, that is sector s into 23 - s.
                 let seen = coverage.azimuth_views[AZIMUTH_SECTORS - 1 - sector] > 0;
                 coverage.azimuth_mirrored[sector] = seen && coverage.azimuth_views[sector] == 0;
             }
         }
+        coverage.azimuths_rad.sort_by(f64::total_cmp);
         coverage
     }
 
@@ -57,6 +64,11 @@ impl ViewCoverage {
         self.distance_min_m = self.distance_min_m.min(distance);
         self.distance_max_m = self.distance_max_m.max(distance);
     }
+}
+
+fn azimuth_of(object_from_camera: &Rigid) -> f64 {
+    let eye = object_from_camera.translation_m;
+    libm::atan2(eye.y, eye.x)
 }
 
 fn sector_of(azimuth_rad: f64) -> usize {

@@ -4,26 +4,30 @@ use std::f64::consts::{PI, TAU};
 
 use glam::DVec3;
 
-use crate::quality::{AZIMUTH_SECTORS, ViewCoverage};
+use crate::quality::ViewCoverage;
 
-const SECTOR_RAD: f64 = TAU / AZIMUTH_SECTORS as f64;
+/// Nearest distance at which an object is shown, as a fraction of the nearest at which it was seen: larger it only gets blurred.
+const NEAREST_OF_SEEN: f64 = 0.7;
 
-/// Whether a camera at `eye` (cuboid frame) sees the object from within `slack_rad` of an observed side and elevation.
+/// Whether a camera at `eye` (cuboid frame) sees the object from within `slack_rad` of an observed side and elevation, and not
+/// from much nearer than it was ever seen.
 pub(super) fn covers(coverage: &ViewCoverage, eye: DVec3, slack_rad: f64) -> bool {
+    if eye.length() < NEAREST_OF_SEEN * coverage.distance_min_m {
+        return false;
+    }
     let elevation = libm::atan2(eye.z, eye.truncate().length());
     elevation >= coverage.elevation_min_rad - slack_rad
         && elevation <= coverage.elevation_max_rad + slack_rad
         && azimuth_gap_rad(coverage, libm::atan2(eye.y, eye.x)) <= slack_rad
 }
 
-/// Angle from an azimuth to the nearest observed sector; infinite if there is none.
+/// Angle from an azimuth to the nearest observed one; infinite if there is none.
+///
+/// The cameras' own azimuths count, not their sectors: a car followed from straight behind shows none of its side, and 15
+/// degrees further round the side fills the view.
 fn azimuth_gap_rad(coverage: &ViewCoverage, azimuth: f64) -> f64 {
-    (0..AZIMUTH_SECTORS)
-        .filter(|s| coverage.azimuth_views[*s] > 0 || coverage.azimuth_mirrored[*s])
-        .map(|s| {
-            let middle = (s as f64 + 0.5) * SECTOR_RAD;
-            (wrap(azimuth - middle).abs() - SECTOR_RAD * 0.5).max(0.0)
-        })
+    let gaps = coverage.azimuths_rad.iter();
+    gaps.map(|seen| wrap(azimuth - seen).abs())
         .fold(f64::INFINITY, f64::min)
 }
 
@@ -57,10 +61,10 @@ mod tests {
         let slack = 20f64.to_radians();
         for (azimuth, expected) in [
             (190.0, true),
-            (161.0, true),
-            (159.0, false),
-            (229.0, true),
-            (231.0, false),
+            (168.0, true),
+            (166.0, false),
+            (219.0, true),
+            (221.0, false),
             (10.0, false),
         ] {
             assert_eq!(covers(&seen, eye(azimuth), slack), expected, "{azimuth}");
