@@ -388,3 +388,82 @@ fn partition(triangles: &mut [Triangle], left: impl Fn(&Triangle) -> bool) -> us
     }
     middle
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::generator::noise::unit;
+
+    fn random_vector(i: u32, stream: u32) -> Vec3 {
+        Vec3::from_array(std::array::from_fn(|axis| {
+            unit(i, axis as u32, stream) * 2.0 - 1.0
+        }))
+    }
+
+    fn soup(count: u32) -> Vec<Triangle> {
+        (0..count)
+            .map(|i| {
+                let centre = random_vector(i, 1) * 5.0;
+                let corners = [2, 3, 4].map(|stream| centre + random_vector(i, stream) * 1.5);
+                Triangle {
+                    corners,
+                    normals: [Vec3::Z; 3],
+                    material: 0,
+                }
+            })
+            .collect()
+    }
+
+    fn brute_force(triangles: &[Triangle], ray: &Ray) -> Option<f32> {
+        let hits = triangles.iter().filter_map(|triangle| {
+            let [a, b, c] = triangle.corners.map(|p| (p - ray.origin).as_dvec3());
+            let d = ray.direction.as_dvec3();
+            let normal = (b - a).cross(c - a);
+            let t = normal.dot(a) / normal.dot(d);
+            let p = d * t;
+            let inside = [(a, b), (b, c), (c, a)]
+                .iter()
+                .all(|(u, v)| normal.dot((*v - *u).cross(p - *u)) >= 0.0);
+            (inside && t > 0.0).then_some(t as f32)
+        });
+        hits.min_by(f32::total_cmp)
+    }
+
+    #[test]
+    fn nearest_hits_agree_with_brute_force() {
+        let triangles = soup(300);
+        let mesh = Mesh::new(triangles.clone());
+        let mut hits = 0;
+        for i in 0..500 {
+            let ray = Ray {
+                origin: random_vector(i, 8) * 8.0,
+                direction: random_vector(i, 9) * 4.0 - random_vector(i, 8) * 8.0,
+            };
+            let expected = brute_force(&triangles, &ray);
+            let found = mesh.nearest(&ray, f32::INFINITY).map(|hit| hit.t);
+            match (expected, found) {
+                (Some(a), Some(b)) => {
+                    assert!((a - b).abs() < 1e-3 * a.max(1.0), "ray {i}: {a} or {b}")
+                }
+                (a, b) => assert_eq!(a, b, "ray {i}"),
+            }
+            assert_eq!(mesh.occludes(&ray, f32::INFINITY), expected.is_some());
+            hits += usize::from(expected.is_some());
+        }
+        assert!(hits > 100, "{hits} rays hit");
+    }
+
+    #[test]
+    fn a_missing_triangle_is_noticed() {
+        let triangles = soup(300);
+        let mesh = Mesh::new(triangles[..200].to_vec());
+        let differs = (0..500).any(|i| {
+            let ray = Ray {
+                origin: random_vector(i, 8) * 8.0,
+                direction: random_vector(i, 9) * 4.0 - random_vector(i, 8) * 8.0,
+            };
+            brute_force(&triangles, &ray).is_some() != mesh.nearest(&ray, f32::INFINITY).is_some()
+        });
+        assert!(differs);
+    }
+}

@@ -342,3 +342,87 @@ fn polyline(points: &[(f32, f32)], x: f32) -> f32 {
     let ((x0, y0), (x1, y1)) = (points[after - 1], points[after]);
     y0 + (y1 - y0) * ((x - x0) / (x1 - x0)).clamp(0.0, 1.0)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::generator::bvh::Ray;
+    use crate::generator::paint::finish;
+
+    #[test]
+    fn the_mesh_fills_its_cuboid() {
+        for index in 0..7 {
+            let design = CarDesign::draw(3, index);
+            let mesh = design.mesh();
+            let corners = mesh.triangles.iter().flat_map(|t| t.corners);
+            let (min, max) = corners.fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(min, max), p| {
+                (min.min(p), max.max(p))
+            });
+            let half = 0.5 * design.size_m;
+            assert!(
+                (max - half).abs().max_element() < 1e-5,
+                "{}: {max}",
+                design.shape.name
+            );
+            assert!(
+                (min + half).abs().max_element() < 1e-5,
+                "{}: {min}",
+                design.shape.name
+            );
+        }
+    }
+
+    #[test]
+    fn cars_are_symmetric_in_shape_and_colour() {
+        let mirror = Vec3::new(1.0, -1.0, 1.0);
+        let design = CarDesign::draw(3, 0);
+        let mesh = design.mesh();
+        let look = |origin: Vec3, direction: Vec3| {
+            let ray = Ray { origin, direction };
+            mesh.nearest(&ray, f32::INFINITY).map(|hit| {
+                let triangle = &mesh.triangles[hit.triangle as usize];
+                let normal = triangle.normals[0] * (1.0 - hit.b1 - hit.b2)
+                    + triangle.normals[1] * hit.b1
+                    + triangle.normals[2] * hit.b2;
+                (
+                    hit.t,
+                    finish(
+                        &design,
+                        triangle.material,
+                        ray.at(hit.t),
+                        normal.normalize(),
+                    )
+                    .albedo,
+                )
+            })
+        };
+        let (mut hits, mut same_colour, mut shifted_depth) = (0, 0, 0);
+        for i in 0..600 {
+            let aim = Vec3::from_array(std::array::from_fn(|k| {
+                (unit(i, k as u32, 5) - 0.5) * design.size_m[k]
+            }));
+            let eye = Vec3::new(12.0 * (unit(i, 4, 5) - 0.5), 7.0, 2.5 * unit(i, 5, 5));
+            let Some((t, albedo)) = look(eye, aim - eye) else {
+                continue;
+            };
+            let (t_mirrored, albedo_mirrored) = look(eye * mirror, (aim - eye) * mirror).unwrap();
+            assert!(
+                (t - t_mirrored).abs() < 1e-3,
+                "ray {i}: {t} and {t_mirrored}"
+            );
+            // Rounding may put a ray on the other side of a seam.
+            same_colour += usize::from((albedo - albedo_mirrored).length() < 1e-4);
+            let shifted = look(eye * mirror + Vec3::Y * 0.05, (aim - eye) * mirror);
+            shifted_depth += usize::from(shifted.is_none_or(|s| (s.0 - t).abs() > 1e-3));
+            hits += 1;
+        }
+        assert!(
+            hits > 300 && same_colour > hits * 98 / 100,
+            "{same_colour} of {hits}"
+        );
+        assert!(
+            shifted_depth > hits / 2,
+            "a shift of 5 cm must show: {shifted_depth} of {hits}"
+        );
+    }
+}

@@ -61,7 +61,7 @@ impl Default for LidarConfig {
             elevation_min_rad: -24.0_f64.to_radians(),
             elevation_max_rad: 12.0_f64.to_radians(),
             half_sector_rad: 50.0_f64.to_radians(),
-            azimuth_step_rad: 0.3_f64.to_radians(),
+            azimuth_step_rad: 0.35_f64.to_radians(),
             range_noise_m: 0.015,
             max_range_m: 80.0,
             turn_s: 0.1,

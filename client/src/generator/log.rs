@@ -13,6 +13,7 @@ use super::config::Error;
 use super::noise::{gaussian, hash, unit};
 use super::render::{ExactFrame, RenderOptions, View};
 use super::world::{START_NS, StreetWorld};
+use crate::geometry::{rigid_to_wire, vector_to_wire};
 use crate::read_log::ReadLog;
 
 const CAMERA_ID: &str = "front";
@@ -73,7 +74,7 @@ impl StreetWorld {
         log.drive_log = v1::DriveLog {
             dataset: "generated".to_owned(),
             synthetic: true,
-            local_from_world: Some(wire(&Rigid::IDENTITY)),
+            local_from_world: Some(rigid_to_wire(&Rigid::IDENTITY)),
             cameras: vec![self.wire_camera()],
             world_from_ego: self.record_trajectory(last_ns),
             frames,
@@ -84,7 +85,7 @@ impl StreetWorld {
                 .map(|actor| record_track(actor, last_ns))
                 .collect(),
             notes: self.notes(),
-            sun_direction_world: Some(vector(self.sun_direction_world())),
+            sun_direction_world: Some(vector_to_wire(self.sun_direction_world())),
             ..v1::DriveLog::default()
         };
         Ok(log)
@@ -138,7 +139,7 @@ impl StreetWorld {
             sweeps.push(v1::LidarSweep {
                 lidar_id: LIDAR_ID.to_owned(),
                 timestamp_ns,
-                ego_from_lidar: Some(wire(&self.ego_from_lidar())),
+                ego_from_lidar: Some(rigid_to_wire(&self.ego_from_lidar())),
                 points: Some(log.add_bytes(bytes)),
                 format: v1::PointFormat::XyzitF32.into(),
             });
@@ -163,7 +164,7 @@ impl StreetWorld {
                 );
                 v1::TimedPose {
                     timestamp_ns,
-                    pose: Some(wire(&pose)),
+                    pose: Some(rigid_to_wire(&pose)),
                 }
             })
             .collect()
@@ -180,7 +181,7 @@ impl StreetWorld {
             principal_x_px: camera.principal_px.x,
             principal_y_px: camera.principal_px.y,
             distortion: None,
-            ego_from_camera: Some(wire(&self.ego_from_camera())),
+            ego_from_camera: Some(rigid_to_wire(&self.ego_from_camera())),
         }
     }
 
@@ -220,7 +221,7 @@ fn record_track(actor: &Actor, last_ns: i64) -> v1::Track {
         .take_while(|&t| t <= last_ns + MARGIN_NS)
         .map(|timestamp_ns| v1::TrackState {
             timestamp_ns,
-            world_from_cuboid: Some(wire(
+            world_from_cuboid: Some(rigid_to_wire(
                 &actor.world_from_cuboid(super::world::seconds(timestamp_ns)),
             )),
             occlusion: v1::Occlusion::Unspecified.into(),
@@ -237,7 +238,7 @@ fn record_track(actor: &Actor, last_ns: i64) -> v1::Track {
         }
         .into(),
         source_class: actor.design.shape.name.to_owned(),
-        size_m: Some(vector(actor.design.size_m.as_dvec3())),
+        size_m: Some(vector_to_wire(actor.design.size_m.as_dvec3())),
         states,
     }
 }
@@ -282,25 +283,4 @@ where
     let mut bytes = Cursor::new(Vec::new());
     image.write_to(&mut bytes, ImageFormat::Png)?;
     Ok(bytes.into_inner())
-}
-
-fn wire(pose: &Rigid) -> v1::RigidTransform {
-    let q = pose.rotation;
-    v1::RigidTransform {
-        rotation: Some(v1::Quaternion {
-            w: q.w,
-            x: q.x,
-            y: q.y,
-            z: q.z,
-        }),
-        translation_m: Some(vector(pose.translation_m)),
-    }
-}
-
-fn vector(v: DVec3) -> v1::Vector3 {
-    v1::Vector3 {
-        x: v.x,
-        y: v.y,
-        z: v.z,
-    }
 }

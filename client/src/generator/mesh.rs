@@ -106,33 +106,41 @@ impl MeshBuilder {
         }
     }
 
-    /// A sphere whose radius is scaled by `bump` of the unit direction, smooth-shaded by the true surface normal.
+    /// A sphere whose radius is scaled by `bump` of the unit direction, smooth-shaded.
     pub(super) fn bumpy_sphere(
         &mut self,
         centre: Vec3,
         radii: Vec3,
-        rings: u32,
+        rings: usize,
         bump: impl Fn(Vec3) -> f32,
         material: u16,
     ) {
         let sides = rings * 2;
-        let at = |ring: u32, side: u32| {
-            let polar = std::f32::consts::PI * ring as f32 / rings as f32;
-            let around = std::f32::consts::TAU * (side % sides) as f32 / sides as f32;
-            let plane = Vec2::from_angle(around) * polar.sin();
-            let dir = plane.extend(polar.cos());
-            centre + dir * radii * bump(dir)
+        let points: Vec<Vec3> = (0..=rings)
+            .flat_map(|ring| (0..sides).map(move |side| (ring, side)))
+            .map(|(ring, side)| {
+                let polar = std::f32::consts::PI * ring as f32 / rings as f32;
+                let around = std::f32::consts::TAU * side as f32 / sides as f32;
+                let direction = (Vec2::from_angle(around) * polar.sin()).extend(polar.cos());
+                centre + direction * radii * bump(direction)
+            })
+            .collect();
+        let at = |ring: usize, side: usize| points[ring * sides + side % sides];
+        let normal = |ring: usize, side: usize| {
+            let down = at((ring + 1).min(rings), side) - at(ring.saturating_sub(1), side);
+            let around = at(ring, side + 1) - at(ring, side + sides - 1);
+            down.cross(around).normalize_or(at(ring, side) - centre)
         };
         for ring in 0..rings {
             for side in 0..sides {
-                let c = [
-                    at(ring, side),
-                    at(ring + 1, side),
-                    at(ring + 1, side + 1),
-                    at(ring, side + 1),
+                let square = [
+                    (ring, side),
+                    (ring + 1, side),
+                    (ring + 1, side + 1),
+                    (ring, side + 1),
                 ];
-                let n = c.map(|p| ((p - centre) / radii).normalize_or(Vec3::Z));
-                self.smooth_quad(c, n, material);
+                let corners = square.map(|(r, s)| at(r, s));
+                self.smooth_quad(corners, square.map(|(r, s)| normal(r, s)), material);
             }
         }
     }

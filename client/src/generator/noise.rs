@@ -82,3 +82,60 @@ pub(super) fn stripes(x: f32, duty: f32, width: f32) -> f32 {
     };
     ((integral(x + 0.5 * w) - integral(x - 0.5 * w)) / w).clamp(0.0, 1.0)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Mean of a function over the interval of `width` around `x`.
+    fn mean(f: impl Fn(f32) -> f32, x: f32, width: f32) -> f32 {
+        const STEPS: u32 = 4000;
+        let at = |i: u32| x + width * ((i as f32 + 0.5) / STEPS as f32 - 0.5);
+        (0..STEPS).map(|i| f(at(i))).sum::<f32>() / STEPS as f32
+    }
+
+    #[test]
+    fn filtered_stripes_are_box_filtered() {
+        let comb = |t: f32| if t - t.floor() < 0.3 { 1.0 } else { 0.0 };
+        let single = |t: f32| if (0.2..0.6).contains(&t) { 1.0 } else { 0.0 };
+        for i in 0..40 {
+            let (x, width) = (-2.0 + 0.17 * i as f32, 0.05 + 0.09 * (i % 7) as f32);
+            assert!(
+                (stripes(x, 0.3, width) - mean(comb, x, width)).abs() < 2e-3,
+                "stripes at {x}"
+            );
+            assert!(
+                (stripe(x, 0.2, 0.6, width) - mean(single, x, width)).abs() < 2e-3,
+                "stripe at {x}"
+            );
+        }
+    }
+
+    #[test]
+    fn fractal_noise_fades_below_the_filter_width() {
+        let spread = |width: f32| {
+            let samples: Vec<f32> = (0..400)
+                .map(|i| {
+                    fractal(
+                        Vec2::new(0.37 * i as f32, 0.11 * i as f32),
+                        0.5,
+                        4,
+                        width,
+                        3,
+                    )
+                })
+                .collect();
+            samples.iter().map(|v| v * v).sum::<f32>() / samples.len() as f32
+        };
+        assert!(spread(0.001) > 0.02);
+        assert!(spread(0.25) < spread(0.001));
+        assert_eq!(spread(2.0), 0.0);
+    }
+
+    #[test]
+    fn floor_agrees_with_the_library() {
+        for x in [-2.0_f32, -1.5, -0.0, 0.0, 0.99, 1.0, 7.3] {
+            assert_eq!(floor(x), x.floor() as i32, "{x}");
+        }
+    }
+}

@@ -71,17 +71,30 @@ fn body(design: &CarDesign, p: Vec3, n: Vec3) -> Finish {
     if let Some(finish) = ends(design, x, y, z, p, n) {
         return finish;
     }
-    let seam = n.y.abs() > 0.6 && z > 0.22 && z < design.shape.belt && door_seam(design, x, size.x);
-    let albedo = if seam {
-        design.paint * 0.25
+    let flank = n.y.abs() > 0.6 && z > 0.22 && z < design.shape.belt;
+    let (albedo, region) = if flank && door_seam(design, x, size.x) {
+        (design.paint * 0.25, 6)
+    } else if flank && door_handle(design, p) {
+        (Vec3::splat(0.05), 12)
     } else {
-        design.paint
+        (design.paint, 0)
     };
     Finish {
         albedo,
-        mirror: 0.045,
-        region: if seam { 6 } else { 0 },
+        mirror: 0.05,
+        region,
     }
+}
+
+/// A dark handle at the rear of each door, 16 cm long.
+fn door_handle(design: &CarDesign, p: Vec3) -> bool {
+    let belt_m = (design.shape.belt - 0.5) * design.size_m.z;
+    let rear_edge_m = 0.5 * design.size_m.x * design.shape.pillars[0];
+    let doors = [
+        rear_edge_m + 0.14,
+        rear_edge_m - 0.26 * design.size_m.x * 0.5 - 0.30,
+    ];
+    (p.z - belt_m + 0.12).abs() < 0.018 && doors.iter().any(|x| (p.x - x).abs() < 0.08)
 }
 
 fn door_seam(design: &CarDesign, x: f32, length: f32) -> bool {
@@ -146,7 +159,7 @@ fn ends(design: &CarDesign, x: f32, y: f32, z: f32, p: Vec3, n: Vec3) -> Option<
         let albedo = if front {
             Vec3::new(0.62, 0.64, 0.66)
         } else {
-            Vec3::new(0.40, 0.012, 0.012)
+            Vec3::new(0.22, 0.004, 0.006)
         };
         return Some(Finish {
             albedo,
@@ -164,13 +177,10 @@ fn ends(design: &CarDesign, x: f32, y: f32, z: f32, p: Vec3, n: Vec3) -> Option<
 
 fn number_plate(design: &CarDesign, p: Vec3) -> Finish {
     // Strokes depend on |y| so that the car stays mirror-symmetric.
-    let column = (p.y.abs() / 0.035) as u32;
-    let ink = column % 2 == 0 && column < 6 && hash(column, design.seed, 4) % 4 != 0;
-    let albedo = if ink {
-        Vec3::splat(0.04)
-    } else {
-        Vec3::new(0.68, 0.68, 0.60)
-    };
+    let (column, row) = ((p.y.abs() / 0.021) as u32, ((p.z + 2.0) / 0.026) as u32);
+    let ink =
+        (1..11).contains(&column) && column % 4 != 3 && hash(column, row, design.seed) & 1 == 1;
+    let albedo = Vec3::splat(if ink { 0.12 } else { 0.66 });
     Finish {
         albedo,
         mirror: 0.0,

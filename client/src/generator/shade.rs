@@ -28,7 +28,7 @@ pub(super) struct PixelRay {
 }
 
 /// Exposure of the camera, fixed over a log.
-const EXPOSURE: f32 = 0.78;
+const EXPOSURE: f32 = 0.92;
 /// Radiance that maps to white.
 const WHITE: f32 = 3.2;
 

@@ -10,12 +10,12 @@ pub(super) fn sun_direction() -> DVec3 {
 }
 
 /// Radiance of the sun on a surface facing it, relative to a white diffuser in the shade.
-pub(super) const SUN: Vec3 = Vec3::new(2.05, 1.90, 1.62);
+pub(super) const SUN: Vec3 = Vec3::new(2.35, 2.12, 1.75);
 pub(super) const SKY_AMBIENT: Vec3 = Vec3::new(0.46, 0.54, 0.68);
 pub(super) const GROUND_AMBIENT: Vec3 = Vec3::new(0.26, 0.245, 0.225);
-const ZENITH: Vec3 = Vec3::new(0.20, 0.40, 0.80);
+const ZENITH: Vec3 = Vec3::new(0.15, 0.35, 0.80);
 const HORIZON: Vec3 = Vec3::new(0.72, 0.82, 0.93);
-const CLOUD: Vec3 = Vec3::new(1.02, 1.01, 1.0);
+const CLOUD: Vec3 = Vec3::new(1.25, 1.23, 1.2);
 /// Distance over which haze takes 1 - 1/e of a surface's light.
 const HAZE_M: f32 = 900.0;
 

@@ -164,24 +164,30 @@ fn add_trees(builder: &mut StreetBuilder, seed: u32) {
             let fork = root + Vec3::Z * height + Vec3::X * (0.2 * (draw(4) - 0.5));
             builder.mesh.tube([root, fork], [0.17, 0.11], 12, bark);
             let leaves = builder.material(Material::Leaves((i % 3) as u16));
-            for blob in 0..4_u32 {
+            for blob in 0..5_u32 {
                 let spread = |k: u32| draw(10 + blob * 4 + k) - 0.5;
-                let centre = fork
-                    + Vec3::new(
-                        1.5 * spread(0),
-                        1.3 * spread(1),
-                        0.75 + 1.3 * (spread(2) + 0.5),
-                    );
-                let radius = Vec3::new(1.25, 1.2, 1.05) * (0.85 + 0.4 * spread(3));
+                let lift = 0.7 + 1.5 * (spread(2) + 0.5);
+                let centre = fork + Vec3::new(1.9 * spread(0), 1.5 * spread(1), lift);
+                let radius = Vec3::new(1.15, 1.1, 0.95) * (0.85 + 0.4 * spread(3));
                 let salt = seed.wrapping_add(i * 8 + blob + row * 300);
-                let bump = |d: Vec3| {
-                    let p = Vec2::new(d.x + 0.6 * d.z, d.y - 0.5 * d.z);
-                    1.0 + 0.16 * value(p * 2.6, salt) + 0.09 * value(p * 6.0, salt ^ 77)
-                };
-                builder.mesh.bumpy_sphere(centre, radius, 18, bump, leaves);
+                builder
+                    .mesh
+                    .bumpy_sphere(centre, radius, 20, |d| crown(d, salt), leaves);
             }
         }
     }
+}
+
+/// Radius of a tree's crown in a direction, relative to its mean.
+fn crown(direction: Vec3, salt: u32) -> f32 {
+    let p = Vec2::new(
+        direction.x + 0.6 * direction.z,
+        direction.y - 0.5 * direction.z,
+    );
+    let q = Vec2::new(direction.y + 0.4 * direction.x, direction.z);
+    1.0 + 0.13 * value(p * 2.3, salt)
+        + 0.10 * value(q * 5.0, salt ^ 77)
+        + 0.05 * value(p * 11.0, salt ^ 78)
 }
 
 fn add_furniture(builder: &mut StreetBuilder, seed: u32) {

@@ -54,7 +54,7 @@ fn asphalt(p: Vec2, extent: Vec2, seed: u32) -> Vec3 {
     let mut grain = 0.0;
     for tap in 0..taps {
         let offset = ((tap as f32 + 0.5) / taps as f32 - 0.5) * extent.x;
-        grain += fractal(p + Vec2::new(offset, 0.0), 0.30, 4, width, seed ^ 0x11);
+        grain += fractal(p + Vec2::new(offset, 0.0), 0.22, 4, width, seed ^ 0x11);
     }
     grain /= taps as f32;
     let broad = extent.max_element();
@@ -64,7 +64,7 @@ fn asphalt(p: Vec2, extent: Vec2, seed: u32) -> Vec3 {
         .flat_map(|lane| [-0.75_f32, 0.75].map(|track| (p.y.abs() - 1.75 - track) * lane))
         .map(|d| (-(d / 0.28) * (d / 0.28)).exp())
         .sum::<f32>();
-    let mut albedo = 0.165 * (1.0 + 0.34 * grain + 0.26 * patches - 0.045 * tyres);
+    let mut albedo = 0.165 * (1.0 + 0.40 * grain + 0.22 * patches - 0.05 * tyres);
     albedo *= 1.0 - 0.42 * repair(p, extent, seed);
     albedo *= 1.0 - 0.55 * crack(p, extent, seed);
     albedo *= 1.0 - 0.5 * stain(p, broad, seed);
@@ -319,6 +319,12 @@ fn shop_pane(building: &Building, point: &Point) -> Finish {
 fn sign(building: &Building, point: &Point) -> Finish {
     let (uv, e) = (across(point), across_extent(point));
     const LETTER_M: f32 = 0.30;
+    // Letters run from left to right for someone in the street.
+    let uv = if point.normal.y > 0.5 || point.normal.x < -0.5 {
+        Vec2::new(-uv.x, uv.y)
+    } else {
+        uv
+    };
     let cell = (uv.x / LETTER_M).floor();
     let letter = hash(cell as i32 as u32, building.seed, 5);
     let word =
@@ -347,7 +353,8 @@ fn leaves(point: &Point, kind: u16, seed: u32) -> Finish {
         Vec3::new(0.12, 0.17, 0.04),
         Vec3::new(0.06, 0.13, 0.045),
     ][kind as usize % 3];
-    matt(tint * (1.0 + 0.75 * clumps + 0.65 * side).max(0.15))
+    let twigs = fractal(uv + Vec2::splat(9.0), 0.16, 2, width, seed ^ 0xb3);
+    matt(tint * (1.0 + 0.75 * clumps + 0.6 * side + 0.9 * twigs).max(0.12))
 }
 
 /// A round sign: red ring, white middle, dark bar.
