@@ -77,6 +77,24 @@ pub(crate) struct UploadOptions {
     /// Seed of a generated log.
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
+    #[command(flatten)]
+    pub street: StreetOptions,
+}
+
+/// How much of a generated street is recorded; by default what the demo records.
+#[derive(Clone, Copy, Debug, Default, Args)]
+pub(crate) struct StreetOptions {
+    /// Images of a generated log.
+    #[arg(long, value_name = "N")]
+    pub frames: Option<u32>,
+    /// Size of the images of a generated log.
+    #[arg(long, value_name = "PIXELS")]
+    pub width: Option<u32>,
+    #[arg(long, value_name = "PIXELS")]
+    pub height: Option<u32>,
+    /// Path of the ego vehicle in a generated log.
+    #[arg(long, value_name = "METRES")]
+    pub travel_m: Option<f64>,
 }
 
 /// Parts of a KITTI raw log that lie elsewhere.

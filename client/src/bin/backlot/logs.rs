@@ -71,7 +71,7 @@ fn read(options: &UploadOptions) -> anyhow::Result<ReadLog> {
             let path = options.path.as_deref().context("PATH is missing")?;
             input::read_kitti(path, &options.parts)
         }
-        LogFormat::Generated => input::generate(options.seed),
+        LogFormat::Generated => input::generate(options.seed, &options.street),
     }
 }
 
