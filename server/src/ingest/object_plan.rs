@@ -186,16 +186,18 @@ struct Inside {
 
 impl Inside {
     fn of(hull: &[DVec2], width: u32, height: u32) -> Self {
-        let (mut rows, mut columns) = (usize::MAX..0, usize::MAX..0);
-        raster(hull, width, height, |row, c| {
-            rows = rows.start.min(row)..rows.end.max(row + 1);
-            columns = columns.start.min(c.start)..columns.end.max(c.end);
+        // First and end of rows and columns; nothing while the first is past the end.
+        let (mut top, mut bottom, mut left, mut right) = (usize::MAX, 0, usize::MAX, 0);
+        raster(hull, width, height, |row, columns| {
+            (top, bottom) = (top.min(row), bottom.max(row + 1));
+            (left, right) = (left.min(columns.start), right.max(columns.end));
         });
+        let (columns, rows) = (right.saturating_sub(left), bottom.saturating_sub(top));
         let mut inside = Self {
-            first_row: rows.start,
-            first_column: columns.start,
-            width: columns.len(),
-            pixels: vec![false; rows.len() * columns.len()],
+            first_row: top,
+            first_column: left,
+            width: columns,
+            pixels: vec![false; rows * columns],
         };
         raster(hull, width, height, |row, c| inside.set(row, c, true));
         inside

@@ -22,7 +22,7 @@ pub fn drive_log_from_wire(log: v1::DriveLog) -> Result<DriveLog, Violations> {
     let sun_direction_world = log.sun_direction_world.map(|sun| {
         let place = Place::new("sun_direction_world");
         let direction = fields.vector(&place, Some(sun));
-        if !(direction.length() > 1e-6) {
+        if direction.length() <= 1e-6 {
             fields.reject(&place, "has no direction");
         }
         direction.normalize_or_zero()
