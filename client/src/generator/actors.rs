@@ -80,7 +80,7 @@ impl Actor {
 
 fn parked_motion(seed: u32, index: u32) -> Motion {
     let jitter = |k: u32, reach: f64| reach * (2.0 * f64::from(unit(seed, index, 40 + k)) - 1.0);
-    let right = index % 2 == 0;
+    let right = index.is_multiple_of(2);
     let slot = f64::from(index / 2);
     // Gaps of one to two car lengths stay free for inserted cars.
     let x_m = if right {

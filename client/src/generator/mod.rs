@@ -2,7 +2,7 @@
 //!
 //! A [`StreetConfig`] makes a [`StreetWorld`]; its [`read_log`](StreetWorld::read_log) is the input of the demo, and its
 //! [`render`](StreetWorld::render) is the ground truth for any view and any object poses. Inside, data flows from `street`, `facade` and
-//! `car` (meshes) through `bvh` and `scene` (rays) to `texture`, `paint`, `sky` and `shade` (light), then `render`, `lidar` and `log`.
+//! `car` (meshes) through `bvh` and `scene` (rays) to `texture`, `road`, `paint`, `sky` and `shade` (light), then `render`, `lidar` and `log`.
 
 mod config;
 
@@ -25,6 +25,8 @@ mod scene;
 mod sky;
 
 mod texture;
+
+mod road;
 
 mod paint;
 

@@ -43,7 +43,7 @@ fn rim(design: &CarDesign, p: Vec3) -> Finish {
     let r = dx.hypot(dz) / radius;
     let sector = (dz.atan2(dx) / std::f32::consts::TAU * 5.0).rem_euclid(1.0) - 0.5;
     let spoke = sector.abs() * r < 0.11;
-    if r > 0.60 || r < 0.14 || spoke {
+    if !(0.14..=0.60).contains(&r) || spoke {
         return Finish {
             albedo: Vec3::splat(0.42),
             mirror: 0.12,

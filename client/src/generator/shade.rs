@@ -4,10 +4,10 @@ use glam::Vec3;
 
 use super::bvh::Ray;
 use super::noise::smoothstep;
-use super::paint;
 use super::scene::{Hit, Scene, Target};
 use super::sky;
 use super::texture::{self, Finish, Point};
+use super::{paint, road};
 
 /// The colour of one ray and what tells its pixel from its neighbours.
 #[derive(Clone, Copy, Debug)]
@@ -123,7 +123,7 @@ fn extent(pixel: &PixelRay, t: f32, normal: Vec3) -> Vec3 {
 
 fn surface(scene: &Scene<'_>, hit: &Hit, point: &Point, seed: u32) -> (Finish, u32) {
     match hit.target {
-        Target::Ground => (texture::ground(point, seed), 0),
+        Target::Ground => (road::ground(point, seed), 0),
         Target::Street(mesh_hit) => {
             let number = scene.street.mesh.triangles[mesh_hit.triangle as usize].material;
             let material = scene.street.materials[number as usize];
