@@ -41,6 +41,7 @@ pub fn origin_name(origin: v1::BoxOrigin) -> &'static str {
         v1::BoxOrigin::Inserted => "inserted",
         v1::BoxOrigin::Replaced => "replaced",
         v1::BoxOrigin::Replayed => "replayed",
+        v1::BoxOrigin::Recorded => "recorded",
         v1::BoxOrigin::Static => "static",
     }
 }

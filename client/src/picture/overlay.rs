@@ -79,7 +79,7 @@ fn origin_color(origin: v1::BoxOrigin) -> Rgb<u8> {
     match origin {
         v1::BoxOrigin::Inserted => Rgb([60, 255, 90]),
         v1::BoxOrigin::Replaced => Rgb([255, 170, 30]),
-        v1::BoxOrigin::Replayed => Rgb([80, 190, 255]),
+        v1::BoxOrigin::Replayed | v1::BoxOrigin::Recorded => Rgb([80, 190, 255]),
         v1::BoxOrigin::Static | v1::BoxOrigin::Unspecified => Rgb([235, 235, 235]),
     }
 }

@@ -104,6 +104,7 @@ pub(super) fn drive(slope: f64, count: u32, spacing_m: f64) -> Recording {
             local_from_camera: local_from_ego
                 * Rigid::new(forward_from_camera(), DVec3::new(0.0, 0.0, 1.6)),
             local_from_ego,
+            image: None,
         }
     });
     Recording {

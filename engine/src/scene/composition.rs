@@ -69,6 +69,8 @@ pub enum Origin {
     Replaced,
     /// An original mover, rendered at its recorded pose.
     Replayed,
+    /// An original mover without an asset, shown by the recorded image's own pixels.
+    Recorded,
     /// An original static object, part of the background.
     Static,
 }
@@ -82,7 +84,7 @@ pub struct PlacedObject {
     pub class: ObjectClass,
     pub size_m: DVec3,
     pub local_from_object: Rigid,
-    /// Index into the library passed to [`compose`]; `None` for static originals.
+    /// Index into the library passed to [`compose`]; `None` for static and recorded originals.
     pub asset: Option<usize>,
     /// Originals: their track. Replaced: the track whose slot it is.
     pub track_id: Option<String>,
@@ -261,7 +263,7 @@ fn output_camera(camera: &Camera, longer_side_px: u32) -> Camera {
     camera.resized(side(camera.width), side(camera.height))
 }
 
-/// Static originals are labelled where they stand; movers are replayed, replaced or left out.
+/// Static originals are labelled where they stand; movers are replayed, shown as recorded, replaced or left out.
 fn place_originals(composition: &mut Composition, placer: &mut Placer<'_>, seed: u64, index: u64) {
     let stage = placer.stage;
     let recipe = placer.recipe;
@@ -295,12 +297,15 @@ fn place_originals(composition: &mut Composition, placer: &mut Placer<'_>, seed:
         object.asset = placer.library.iter().position(|asset| {
             asset.source_log == stage.source_log && asset.source_track_id == track.track_id
         });
-        if object.asset.is_some() && !recipe.drop_originals {
-            composition.objects.push(object);
-        } else {
+        if recipe.drop_originals {
             composition.left_out.push(original);
             placer.originals.pop();
+            continue;
         }
+        if object.asset.is_none() {
+            object.origin = Origin::Recorded;
+        }
+        composition.objects.push(object);
     }
     replace_originals(composition, placer, seed, index);
 }
@@ -342,8 +347,9 @@ fn replace_originals(
             continue;
         };
         object.track_id = Some(track.track_id.clone());
-        let is_original =
-            |o: &PlacedObject| o.track_id == object.track_id && o.origin == Origin::Replayed;
+        let is_original = |o: &PlacedObject| {
+            o.track_id == object.track_id && matches!(o.origin, Origin::Replayed | Origin::Recorded)
+        };
         if let Some(at) = composition.objects.iter().position(is_original) {
             composition.objects.remove(at);
             composition.left_out.push(original);

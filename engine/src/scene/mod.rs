@@ -29,9 +29,11 @@ mod render;
 mod shadow;
 mod tile;
 
+mod hull;
 mod ignore;
 mod labels;
 mod lidar;
+mod recorded;
 
 #[cfg(test)]
 mod box_world;
@@ -54,6 +56,7 @@ pub use merge::{Merged, composite, merge};
 pub use projection::{PixelBox, amodal_box, corners};
 pub use random::Draws;
 pub use recipe::{Jitter, MAX_OBJECTS, MAX_SIDE_PX, PlacementPreset, Recipe};
+pub use recorded::{RecordedImage, replay_recorded};
 pub use recording::{RecordedCamera, RecordedFrame, RecordedTrack, Recording};
 pub use region_builder::RegionConfig;
 pub use rejection::Rejection;

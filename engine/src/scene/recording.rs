@@ -33,6 +33,9 @@ pub struct RecordedFrame {
     pub timestamp_ns: i64,
     pub local_from_camera: Rigid,
     pub local_from_ego: Rigid,
+    /// Content digest of the recorded image, for whoever holds the blobs; `None` if it is not to be had.
+    #[serde(default)]
+    pub image: Option<String>,
 }
 
 /// One labelled object through the frames.

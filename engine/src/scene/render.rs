@@ -62,6 +62,8 @@ impl<'a> Scene<'a> {
         };
         for object in &composition.objects {
             match object.asset {
+                // Put over the rendered frame by `replay_recorded`.
+                None if object.origin == Origin::Recorded => {}
                 Some(asset) => scene.objects.push(SceneObject {
                     instance_id: object.instance_id,
                     field: field(asset)

@@ -8,6 +8,7 @@ use super::box_world::{camera, forward_from_camera};
 use super::composition::{Composition, Origin, PlacedObject};
 use super::labels::{FrameLabel, label};
 use super::projection::corners;
+use super::recorded::{RecordedImage, replay_recorded};
 use super::render::{RenderOptions, RenderedFrame, Scene, render};
 use super::solid_field::solid_field;
 use super::valid_region::ValidRegion;
@@ -265,4 +266,38 @@ fn cancelling_stops_and_bad_poses_are_refused() {
     assert!(matches!(refused, Err(Error::Invalid { .. })));
     let missing = composition(vec![placed(1, Origin::Inserted, Some(0), 10.0, 0.0)]);
     assert!(Scene::of_composition(&background, &missing, |_| None).is_err());
+}
+
+#[test]
+fn a_recorded_mover_takes_its_pixels_from_the_image_behind_what_stands_nearer() {
+    let (background, red) = (background(), car([0.8, 0.1, 0.1], 60.0));
+    let composition = composition(vec![
+        placed(1, Origin::Inserted, Some(0), 10.0, 0.6),
+        placed(2, Origin::Recorded, None, 16.0, 0.0),
+        placed(3, Origin::Inserted, Some(0), 24.0, -2.8),
+    ]);
+    let before = shoot(&background, &[&red], &composition);
+    let mut frame = before.clone();
+    let recorded = RecordedImage {
+        width: 2,
+        height: 1,
+        rgb8: &[7, 200, 9].repeat(2),
+    };
+    replay_recorded(&composition, &recorded, &mut frame);
+    let labels = labels(&composition, &frame);
+    let of = |id: u16| labels.iter().find(|l| l.instance_id == id).unwrap();
+    assert!(of(2).visible_fraction > 0.2 && of(2).visible_fraction < 1.0);
+    assert_eq!(of(2).occluder, 1);
+    assert_eq!(of(3).occluder, 2);
+    for (i, (now, then)) in frame.instance.iter().zip(&before.instance).enumerate() {
+        let color = &frame.rgb8[3 * i..3 * i + 3];
+        match *now {
+            2 => assert_eq!(color, [7, 200, 9]),
+            1 => assert_eq!(color, &before.rgb8[3 * i..3 * i + 3]),
+            _ => assert!(*then != 1, "the nearer insert keeps its pixels"),
+        }
+    }
+    let owned: u32 = labels.iter().map(|l| l.visible_px).sum();
+    let mask = frame.instance.iter().filter(|i| **i != 0).count();
+    assert_eq!(owned as usize, mask);
 }

@@ -38,7 +38,8 @@ pub fn shadow_casters(composition: &Composition, sun_known: bool) -> Vec<u16> {
     let casts = |origin: Origin| match origin {
         Origin::Inserted | Origin::Replaced => composition.insert_shadows,
         Origin::Replayed => sun_known,
-        Origin::Static => false,
+        // A recorded mover's shadow lies in no field and is hardly ever in its pixels: it is left out.
+        Origin::Recorded | Origin::Static => false,
     };
     let objects = composition.objects.iter();
     objects

@@ -78,6 +78,7 @@ fn box_to_wire(sample_box: &SampleBox) -> v1::SampleBox {
         Origin::Inserted => v1::BoxOrigin::Inserted,
         Origin::Replaced => v1::BoxOrigin::Replaced,
         Origin::Replayed => v1::BoxOrigin::Replayed,
+        Origin::Recorded => v1::BoxOrigin::Recorded,
         Origin::Static => v1::BoxOrigin::Static,
     };
     let object = sample_box.object.clone();

@@ -4,8 +4,8 @@ use std::sync::Arc;
 
 use backlot_engine::asset::AssetKind;
 use backlot_engine::scene::{
-    Candidate, Composition, Recipe, RenderOptions, Scene, Stage, cast_shadows, compose,
-    ignore_mask, label, render, shadow_casters,
+    Candidate, Composition, Origin, Recipe, RecordedImage, RenderOptions, RenderedFrame, Scene,
+    Stage, cast_shadows, compose, ignore_mask, label, render, replay_recorded, shadow_casters,
 };
 use backlot_engine::{Asset, Error as EngineError};
 
@@ -15,6 +15,7 @@ use super::library::{self, Objects};
 use super::sample::{Sample, SampleObject, boxes, encode_planes};
 use crate::domain::blob::Digest;
 use crate::domain::ids::AssetId;
+use crate::ingest::decode_rgb;
 
 /// Which planes are wanted besides the image.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -97,6 +98,7 @@ impl RecipeSamples {
             sun,
             &mut frame,
         );
+        self.replay_recorded(&stage, &composition, &mut frame)?;
         let labels = label(&composition, stage.region, &frame);
         let ignore = ignore_mask(&composition, &frame);
         let [image_png, depth_png, instance_png, ignore_png] =
@@ -124,6 +126,44 @@ impl RecipeSamples {
             has_replay_only: placed().any(|i| !candidates[i].library),
             rejections: composition.rejections,
         })
+    }
+
+    /// Shows movers without an asset by the recorded image, which is only read where there are some.
+    fn replay_recorded(
+        &self,
+        stage: &Stage<'_>,
+        composition: &Composition,
+        frame: &mut RenderedFrame,
+    ) -> Result<()> {
+        let mut objects = composition.objects.iter();
+        if !objects.any(|o| o.origin == Origin::Recorded) {
+            return Ok(());
+        }
+        let recorded = &stage.recording.frames[composition.frame];
+        let unusable = |why: String| Error::Invalid {
+            what: format!(
+                "frame {} of {} shows movers that have no asset, and its image {why}; set drop_originals to leave them out",
+                recorded.frame_index, stage.source_log
+            ),
+        };
+        let digest = recorded.image.as_deref().map(str::parse::<Digest>);
+        let Some(Ok(digest)) = digest else {
+            return Err(unusable("is not recorded".to_owned()));
+        };
+        let camera = stage
+            .recording
+            .camera(&recorded.camera_id)
+            .ok_or_else(|| unusable("has no camera".to_owned()))?;
+        let bytes = self.cache.store().blobs().read(&digest)?;
+        let rgb8 = decode_rgb(&bytes, (camera.width, camera.height))
+            .map_err(|e| unusable(e.to_string()))?;
+        let image = RecordedImage {
+            width: camera.width,
+            height: camera.height,
+            rgb8: &rgb8,
+        };
+        replay_recorded(composition, &image, frame);
+        Ok(())
     }
 
     /// The decoded assets of the placed objects, by index into the candidates.

@@ -107,20 +107,26 @@ fn scene(
     }
     let with_shadows = sample.provenance.as_ref().is_some_and(|p| p.insert_shadows);
     for placed in boxes() {
-        use v1::BoxOrigin::{Inserted, Replaced, Replayed};
+        use v1::BoxOrigin::{Inserted, Recorded, Replaced, Replayed};
         let origin = placed.origin();
-        if !matches!(origin, Inserted | Replaced | Replayed) {
+        if !matches!(origin, Inserted | Recorded | Replaced | Replayed) {
             continue;
         }
+        let is_original = matches!(origin, Recorded | Replayed);
         let cuboid = placed.cuboid.as_ref();
         scene.actors.push(ActorPose {
-            track_id: placed.source_track_id.clone(),
+            // A recorded mover has no asset to have a source.
+            track_id: match origin {
+                Recorded => placed.track_id.clone(),
+                _ => placed.source_track_id.clone(),
+            },
             world_from_cuboid: rigid_from_wire(cuboid.and_then(|c| c.world_from_cuboid.as_ref())),
         });
+        // An original mover's own pixels have its shadow only under it.
         scene.casts_shadow.push(with_shadows);
         scene
             .inserts
-            .push((origin != Replayed).then_some(placed.instance_id as u16));
+            .push((!is_original).then_some(placed.instance_id as u16));
     }
     scene
 }
