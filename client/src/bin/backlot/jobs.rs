@@ -81,6 +81,9 @@ pub(crate) async fn follow(
     for warning in &job.warnings {
         eprintln!("warning: {warning}");
     }
+    for track in job.tracks.iter().filter(|track| !track.kept) {
+        eprintln!("note: {}", rejection(track));
+    }
     match job.state() {
         v1::JobState::Succeeded => {}
         v1::JobState::Failed => {
@@ -94,6 +97,27 @@ pub(crate) async fn follow(
         eprintln!("warning: no usable object found");
     }
     Ok(job)
+}
+
+/// Why a track became no asset.
+fn rejection(track: &v1::TrackDecision) -> String {
+    let mut by_reason: Vec<_> = track.rejected_by_reason.iter().collect();
+    by_reason.sort();
+    let counts: Vec<String> = by_reason
+        .into_iter()
+        .map(|(reason, count)| format!("{count} {reason}"))
+        .collect();
+    format!(
+        "track {} became no object: {} ({} frames usable; {})",
+        track.track_id,
+        track.reason,
+        track.usable_frames,
+        if counts.is_empty() {
+            "none rejected".to_owned()
+        } else {
+            counts.join(", ")
+        },
+    )
 }
 
 pub(crate) fn wire_budget(budget: Budget) -> v1::Budget {
@@ -130,7 +154,18 @@ struct JobRow {
     error: Option<String>,
     assets: Vec<String>,
     warnings: Vec<String>,
+    tracks: Vec<TrackFields>,
     created: Option<String>,
+}
+
+/// What became of one track.
+#[derive(Serialize)]
+struct TrackFields {
+    track: String,
+    kept: bool,
+    moving: bool,
+    usable_frames: u32,
+    reason: String,
 }
 
 impl JobRow {
@@ -148,7 +183,20 @@ impl JobRow {
             error: error.map(|e| format!("{}: {}", e.reason, e.message)),
             assets: job.assets.clone(),
             warnings: job.warnings.clone(),
+            tracks: job.tracks.iter().map(TrackFields::new).collect(),
             created: job.create_time.map(|t| t.to_string()),
+        }
+    }
+}
+
+impl TrackFields {
+    fn new(track: &v1::TrackDecision) -> Self {
+        Self {
+            track: track.track_id.clone(),
+            kept: track.kept,
+            moving: track.moving,
+            usable_frames: track.usable_frames,
+            reason: track.reason.clone(),
         }
     }
 }
