@@ -264,8 +264,9 @@ pub(crate) struct DemoOptions {
     pub format: Option<LogFormat>,
     #[command(flatten)]
     pub parts: LogParts,
-    #[arg(long, value_enum, default_value_t = Budget::Standard)]
-    pub budget: Budget,
+    /// Time for quality; by default `quick` for the generated street and `standard` for a recorded log.
+    #[arg(long, value_enum)]
+    pub budget: Option<Budget>,
     /// Seed of the generated log, of training and of the samples.
     #[arg(long, default_value_t = 1)]
     pub seed: u64,

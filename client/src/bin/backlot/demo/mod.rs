@@ -27,7 +27,7 @@ use backlot_proto::v1;
 use backlot_server::config::Config;
 use backlot_server::server::Server;
 
-use crate::args::DemoOptions;
+use crate::args::{Budget, DemoOptions};
 use crate::{augment, jobs, output};
 use exact::ExactComparison;
 use library::Library;
@@ -121,7 +121,12 @@ async fn train(
     source: &Source,
     stages: &mut Stages,
 ) -> anyhow::Result<(Library, Vec<String>)> {
-    let budget = jobs::wire_budget(options.budget);
+    let default = if source.street.is_some() {
+        Budget::Quick
+    } else {
+        Budget::Standard
+    };
+    let budget = jobs::wire_budget(options.budget.unwrap_or(default));
     let job = |kind| library::train(connection, &source.name, kind, budget, options.seed);
     let (background_job, backgrounds) = stages
         .time("background", job(v1::JobKind::Background))
