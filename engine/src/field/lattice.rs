@@ -4,6 +4,8 @@
 //! brick, all zeros and never trained, and stands for every brick that is not stored. A level therefore contributes 0 where
 //! nothing is allocated, and allocating a zero brick changes no value: refinement is continuous and needs no resampling.
 
+use std::fmt;
+
 use glam::{IVec3, UVec3, Vec3};
 
 /// Nodes along each edge of a brick.
@@ -36,7 +38,7 @@ pub(crate) struct PlacedParameters<'a> {
 }
 
 /// A brick-sparse lattice level.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, PartialEq)]
 pub struct Lattice {
     voxel_m: f32,
     origin_m: Vec3,
@@ -306,6 +308,17 @@ impl Lattice {
     fn index_cell(&self, p: UVec3) -> usize {
         let row = self.bricks.x as usize + 1;
         (p.z as usize * (self.bricks.y as usize + 1) + p.y as usize) * row + p.x as usize
+    }
+}
+
+/// Sizes only: a field is millions of values.
+impl fmt::Debug for Lattice {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Lattice")
+            .field("voxel_m", &self.voxel_m)
+            .field("bricks", &self.bricks)
+            .field("brick_count", &self.brick_count())
+            .finish_non_exhaustive()
     }
 }
 

@@ -1,5 +1,7 @@
 //! The colour network: interpolated features and the encoded view direction to sRGB.
 
+use std::fmt;
+
 use super::activation::sigmoid;
 use super::lattice::FEATURES;
 use super::view_encoding::VIEW_INPUTS;
@@ -10,7 +12,7 @@ pub const MLP_INPUTS: usize = FEATURES + VIEW_INPUTS;
 pub const MLP_OUTPUTS: usize = 4;
 
 /// `rgb = sigmoid(W3 relu(W2 relu(W1 [features, view] + b1) + b2) + b3)`, weights stored input-major (`[input][output]`).
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, PartialEq)]
 pub struct ColorMlp {
     width: usize,
     parameters: Vec<f32>,
@@ -138,4 +140,13 @@ fn affine(weights: &[f32], bias: &[f32], input: &[f32]) -> Vec<f32> {
         }
     }
     out
+}
+
+/// Width only.
+impl fmt::Debug for ColorMlp {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("ColorMlp")
+            .field("width", &self.width)
+            .finish_non_exhaustive()
+    }
 }

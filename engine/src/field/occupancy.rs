@@ -1,5 +1,7 @@
 //! Which cells of space can hold density, and how finely to step there.
 
+use std::fmt;
+
 use glam::{UVec3, Vec3};
 
 /// Cells along each edge of a block.
@@ -16,7 +18,7 @@ pub enum Space {
 }
 
 /// A two-level occupancy mask: blocks of 8^3 cells behind a dense index; block 0 stands for empty ones.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, PartialEq)]
 pub struct Occupancy {
     cell_m: f32,
     origin_m: Vec3,
@@ -133,5 +135,16 @@ impl Occupancy {
         Space::Occupied {
             step_m: self.steps_m[stored],
         }
+    }
+}
+
+/// Sizes only.
+impl fmt::Debug for Occupancy {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Occupancy")
+            .field("cell_m", &self.cell_m)
+            .field("blocks", &self.blocks)
+            .field("occupied_cells", &self.occupied_cells())
+            .finish_non_exhaustive()
     }
 }

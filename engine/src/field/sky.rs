@@ -1,6 +1,7 @@
 //! What lies beyond the box: a learned map over directions.
 
 use std::f32::consts::{PI, TAU};
+use std::fmt;
 
 use glam::Vec3;
 
@@ -14,7 +15,7 @@ pub struct SkyTexels {
 }
 
 /// One latitude-longitude grid of colour logits; x is the heading and wraps around, y the elevation from -90 degrees up.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, PartialEq)]
 pub struct SkyGrid {
     width: u32,
     height: u32,
@@ -109,6 +110,16 @@ impl SkyMap {
             }
         }
         logits.map(sigmoid)
+    }
+}
+
+/// Sizes only.
+impl fmt::Debug for SkyGrid {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("SkyGrid")
+            .field("width", &self.width)
+            .field("height", &self.height)
+            .finish_non_exhaustive()
     }
 }
 

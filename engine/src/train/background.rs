@@ -24,6 +24,8 @@ const BELOW_M: f64 = 1.0;
 const ABOVE_M: f64 = 12.0;
 /// Returns outside these quantiles do not widen the box.
 const EXTENT_QUANTILE: f64 = 0.002;
+/// Room beyond the farthest returns: scanners end before streets do.
+const BEYOND_M: f64 = 40.0;
 /// Edge of the cubes that free space is judged in, in metres.
 const CUBE_M: f32 = 0.8;
 /// Headings x elevations of the sky's grids: 5.6 degrees for what was never seen, 0.35 for what lies beyond the box.
@@ -159,11 +161,11 @@ fn bounds(input: &BackgroundInput, reach_m: f64) -> (Vec3, Vec3) {
     let mut reach_high = high + DVec3::new(reach_m, reach_m, ABOVE_M);
     if input.lidar_points.len() >= 100 {
         let (first, last) = extent(&input.lidar_points);
-        let margin = DVec3::new(2.0, 2.0, 0.0);
+        let margin = DVec3::new(BEYOND_M, BEYOND_M, 0.0);
         reach_low = reach_low
             .max(first - margin - DVec3::Z * BELOW_M)
             .min(low - 1.0);
-        let top = DVec3::new(last.x + 2.0, last.y + 2.0, f64::INFINITY);
+        let top = DVec3::new(last.x + BEYOND_M, last.y + BEYOND_M, f64::INFINITY);
         reach_high = reach_high.min(top).max(high + 1.0);
     }
     (reach_low.as_vec3(), reach_high.as_vec3())

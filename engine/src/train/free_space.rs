@@ -1,4 +1,4 @@
-//! Space that the log proves to be empty before training starts.
+//! Space that the log proves to be empty, or never saw, before training starts.
 
 use glam::{DVec3, Vec3};
 
@@ -8,7 +8,10 @@ use crate::view::{PixelLabel, Split, TrainView};
 /// Edge of an image tile in pixels.
 const TILE: u32 = 8;
 
-/// What a view proves about the directions of each image tile: free up to a range.
+/// Cubes this much farther than every return around them are hidden in a view, in metres: returns are sparse.
+const HIDDEN_MARGIN_M: f64 = 2.0;
+
+/// What a view proves about the directions of each image tile: free up to a range, and hidden beyond one.
 #[derive(Debug)]
 struct FreeTiles {
     camera: Camera,
@@ -16,6 +19,8 @@ struct FreeTiles {
     columns: u32,
     /// Metres; infinite where the tile is sky, 0 where nothing is known.
     free_m: Vec<f32>,
+    /// Metres; infinite where there is no return.
+    farthest_m: Vec<f32>,
 }
 
 /// Free space as the training views see it: up to the LiDAR returns, and everywhere along sky pixels.
@@ -27,7 +32,7 @@ pub(super) struct FreeSpace {
 /// What the views say about a cube of space.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Visibility {
-    /// In no training image.
+    /// In no training image, or behind the returns in each.
     Unseen,
     /// In an image, and not proven to be free.
     Possible,
@@ -63,13 +68,16 @@ impl FreeSpace {
             if !seen {
                 continue;
             }
-            visibility = Visibility::Possible;
+            let (free_m, farthest_m) = view.ranges(pixel.x, pixel.y, radius);
             let inside = pixel.x >= radius
                 && pixel.y >= radius
                 && pixel.x + radius < width
                 && pixel.y + radius < height;
-            if inside && view.free_range(pixel.x, pixel.y, radius) > p.length() + reach {
+            if inside && free_m > p.length() + reach {
                 return Visibility::Free;
+            }
+            if p.length() - reach < farthest_m + HIDDEN_MARGIN_M {
+                visibility = Visibility::Possible;
             }
         }
         visibility
@@ -77,20 +85,23 @@ impl FreeSpace {
 }
 
 impl FreeTiles {
-    /// The least free range of the tiles within `radius` pixels.
-    fn free_range(&self, x: f64, y: f64, radius: f64) -> f64 {
+    /// The least free range and the farthest return of the tiles within `radius` pixels.
+    fn ranges(&self, x: f64, y: f64, radius: f64) -> (f64, f64) {
+        // A negative position saturates to the first tile.
         let tile = |v: f64| (v / f64::from(TILE)) as u32;
         let rows = self.free_m.len() as u32 / self.columns;
-        let mut least = f32::INFINITY;
+        let (mut free, mut farthest) = (f32::INFINITY, 0.0f32);
         for row in tile(y - radius)..=tile(y + radius).min(rows - 1) {
             for column in tile(x - radius)..=tile(x + radius).min(self.columns - 1) {
-                least = least.min(self.free_m[(row * self.columns + column) as usize]);
-                if least == 0.0 {
-                    return 0.0;
+                let at = (row * self.columns + column) as usize;
+                free = free.min(self.free_m[at]);
+                farthest = farthest.max(self.farthest_m[at]);
+                if free == 0.0 && farthest.is_infinite() {
+                    return (0.0, f64::INFINITY);
                 }
             }
         }
-        f64::from(least)
+        (f64::from(free), f64::from(farthest))
     }
 }
 
@@ -99,7 +110,7 @@ fn free_tiles(view: &TrainView) -> FreeTiles {
     let rows = view.camera.height.div_ceil(TILE);
     // Infinite means no return yet, or all sky.
     let mut free_m = vec![f32::INFINITY; (columns * rows) as usize];
-    let mut returns = vec![false; free_m.len()];
+    let mut farthest_m = vec![0.0f32; free_m.len()];
     let mut solid = vec![false; free_m.len()];
     for (number, label) in view.labels.iter().enumerate() {
         let (x, y) = (
@@ -112,13 +123,16 @@ fn free_tiles(view: &TrainView) -> FreeTiles {
         let [x, y] = depth.pixel.map(|c| c as u32 / TILE);
         if x < columns && y < rows {
             let tile = (y * columns + x) as usize;
-            returns[tile] = true;
+            farthest_m[tile] = farthest_m[tile].max(depth.range_m);
             free_m[tile] = free_m[tile].min(depth.range_m);
         }
     }
     for tile in 0..free_m.len() {
-        if solid[tile] && !returns[tile] {
-            free_m[tile] = 0.0;
+        if farthest_m[tile] == 0.0 {
+            farthest_m[tile] = f32::INFINITY;
+            if solid[tile] {
+                free_m[tile] = 0.0;
+            }
         }
     }
     FreeTiles {
@@ -126,5 +140,6 @@ fn free_tiles(view: &TrainView) -> FreeTiles {
         camera_from_local: view.local_from_camera.inverse(),
         columns,
         free_m,
+        farthest_m,
     }
 }

@@ -16,6 +16,8 @@ mod refine;
 mod sampler;
 mod seed;
 mod survey;
+#[cfg(test)]
+mod tests;
 mod validate;
 
 pub use background::train_background;

@@ -56,7 +56,7 @@ impl TrainPreset {
         Self {
             voxels_m: vec![1.6, 0.4, 0.1],
             level_reach_m: vec![f32::INFINITY, f32::INFINITY, 30.0],
-            box_reach_m: 60.0,
+            box_reach_m: 100.0,
             alpha_init: 1e-4,
             seed_sigma: 3.0,
             mlp_width: 64,
