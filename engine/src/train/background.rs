@@ -120,7 +120,7 @@ fn prepare(
     store_around_points(&mut field, &points, preset.memory_bytes, allowed);
     seed_density(&mut field, &points, preset.seed_sigma);
     let cubes = CellSet::of_cubes(&field, &possible, CUBE_M);
-    field.occupancy = survey(&field, |centre| {
+    field.occupancy = survey(&field, |centre, _| {
         near.contains(centre) || cubes.contains(centre)
     });
     Ok(field)

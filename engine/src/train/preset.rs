@@ -49,7 +49,7 @@ pub struct TrainPreset {
 impl TrainPreset {
     pub fn background(budget: Budget) -> Self {
         let (steps, seconds) = match budget {
-            Budget::Quick => (1_600, 110.0),
+            Budget::Quick => (1_600, 95.0),
             Budget::Standard => (8_000, 600.0),
             Budget::Paper => (40_000, 0.0),
         };
@@ -97,7 +97,7 @@ impl TrainPreset {
 
     pub fn object(budget: Budget) -> Self {
         let (steps, seconds) = match budget {
-            Budget::Quick => (800, 18.0),
+            Budget::Quick => (1_000, 10.0),
             Budget::Standard => (3_000, 60.0),
             Budget::Paper => (10_000, 0.0),
         };

@@ -1,12 +1,13 @@
 //! Prunes what stayed empty and stores finer bricks where something is.
 
 use glam::{UVec3, Vec3};
+use rayon::prelude::*;
 
 use super::preset::TrainPreset;
 use super::survey::{dilate, is_dense, survey};
 use crate::backend::cpu::CpuTrainer;
-use crate::field::occupancy::BLOCK_SIDE;
-use crate::field::{BRICK_NODES, FEATURES, Field, Occupancy};
+use crate::field::occupancy::{BLOCK_SIDE, Space};
+use crate::field::{BRICK_NODES, FEATURES, Field, Lattice, NULL_BRICK, Occupancy};
 
 /// Bytes per node: density and 12 features, and one second moment for each of the two.
 pub(super) const NODE_BYTES: u64 = 4 * (1 + FEATURES as u64 + 2);
@@ -25,20 +26,37 @@ pub(super) fn refine(
     let field = trainer.field();
     let old = &field.occupancy;
     let alpha = preset.survey_alpha;
-    let dense = survey(field, |centre| {
-        !matches!(old.at(centre), crate::field::occupancy::Space::Empty { .. })
-            && is_dense(field, centre, alpha)
+    let dense = survey(field, |centre, voxel_m| {
+        !matches!(old.at(centre), Space::Empty { .. }) && is_dense(field, centre, voxel_m, alpha)
     });
     let grown = dilate(field, &dense);
-    prune(trainer, &grown);
-    let full = store_bricks(trainer.field_mut(), &grown, preset.memory_bytes, allowed);
+    let read: Vec<Vec<bool>> = field
+        .levels
+        .par_iter()
+        .map(|level| bricks_read(level, &grown))
+        .collect();
+    let mut full = false;
+    for (number, read) in read.iter().enumerate() {
+        let level = &trainer.field().levels[number];
+        let positions = level.positions().to_vec();
+        let bricks = level.bricks_per_axis();
+        trainer.retain_bricks(number, |brick| {
+            read[brick_number(bricks, positions[brick as usize])]
+        });
+    }
+    for (number, read) in read.iter().enumerate() {
+        full |= store_bricks(
+            trainer.field_mut(),
+            number,
+            read,
+            preset.memory_bytes,
+            allowed,
+        );
+    }
     // Steps follow the finest stored voxel, which may have changed.
     let field = trainer.field();
-    let stepped = survey(field, |centre| {
-        !matches!(
-            grown.at(centre),
-            crate::field::occupancy::Space::Empty { .. }
-        )
+    let stepped = survey(field, |centre, _| {
+        !matches!(grown.at(centre), Space::Empty { .. })
     });
     trainer.field_mut().occupancy = stepped;
     full.then(|| {
@@ -49,65 +67,58 @@ pub(super) fn refine(
     })
 }
 
-/// Drops every brick whose nodes no occupied cell interpolates.
-fn prune(trainer: &mut CpuTrainer, occupied: &Occupancy) {
-    for number in 0..trainer.field().levels.len() {
-        let level = &trainer.field().levels[number];
-        let mut used = vec![false; level.brick_count()];
-        for_each_cell(occupied, |low, side_m| {
-            // A cell reads nodes up to one voxel beyond its corners; bricks own their first node only.
-            let reach = side_m + level.voxel_m();
-            for corner in 0..8 {
-                let step = Vec3::new(
-                    (corner & 1) as f32,
-                    (corner >> 1 & 1) as f32,
-                    (corner >> 2) as f32,
-                );
-                if let Some(at) = level.brick_at(low + step * reach) {
-                    used[level.brick(at) as usize] = true;
-                }
+/// Which brick positions hold nodes that occupied cells interpolate.
+fn bricks_read(level: &Lattice, occupied: &Occupancy) -> Vec<bool> {
+    let bricks = level.bricks_per_axis();
+    let mut read = vec![false; bricks.as_u64vec3().element_product() as usize];
+    for_each_cell(occupied, |low, side_m| {
+        // A cell reads nodes up to one voxel beyond its corners; bricks own their first node only.
+        let reach = side_m + level.voxel_m();
+        for corner in 0..8 {
+            let step = Vec3::new(
+                (corner & 1) as f32,
+                (corner >> 1 & 1) as f32,
+                (corner >> 2) as f32,
+            );
+            if let Some(at) = level.brick_at(low + step * reach) {
+                read[brick_number(bricks, at)] = true;
             }
-        });
-        trainer.retain_bricks(number, |brick| used[brick as usize]);
-    }
+        }
+    });
+    read
 }
 
-/// Allocates bricks around occupied cells. True if the memory bound was met.
-pub(super) fn store_bricks(
+fn brick_number(bricks: UVec3, at: [u16; 3]) -> usize {
+    let [x, y, z] = at.map(usize::from);
+    (z * bricks.y as usize + y) * bricks.x as usize + x
+}
+
+/// Allocates the bricks that are read, where allowed. True if the memory bound was met.
+fn store_bricks(
     field: &mut Field,
-    occupied: &Occupancy,
+    number: usize,
+    read: &[bool],
     memory_bytes: u64,
     allowed: &(dyn Fn(Vec3, usize) -> bool + Sync),
 ) -> bool {
-    let mut full = false;
-    for number in 0..field.levels.len() {
-        let mut wanted = std::collections::BTreeSet::new();
-        let level = &field.levels[number];
-        for_each_cell(occupied, |low, side_m| {
-            for corner in 0..8 {
-                let step = Vec3::new(
-                    (corner & 1) as f32,
-                    (corner >> 1 & 1) as f32,
-                    (corner >> 2) as f32,
-                );
-                let p = low + step * (side_m + level.voxel_m());
-                let Some(at) = level.brick_at(p) else {
-                    continue;
-                };
-                if level.brick(at) == 0 && allowed(p, number) {
-                    wanted.insert(at);
-                }
-            }
-        });
-        let room = (memory_bytes.saturating_sub(field_bytes(field)) / BRICK_BYTES) as usize;
-        full |= wanted.len() > room;
-        let level = &mut field.levels[number];
-        level.reserve(wanted.len().min(room));
-        for at in wanted.into_iter().take(room) {
-            level.allocate(at);
-        }
+    let room = (memory_bytes.saturating_sub(field_bytes(field)) / BRICK_BYTES) as usize;
+    let level = &mut field.levels[number];
+    let bricks = level.bricks_per_axis();
+    let half = Vec3::splat(level.brick_m() / 2.0);
+    let positions = (0..read.len()).filter(|at| read[*at]).map(|at| {
+        let (row, plane) = (bricks.x as usize, (bricks.x * bricks.y) as usize);
+        [at % row, at % plane / row, at / plane].map(|c| c as u16)
+    });
+    let wanted: Vec<[u16; 3]> = positions
+        .filter(|at| {
+            level.brick(*at) == NULL_BRICK && allowed(level.brick_origin(*at) + half, number)
+        })
+        .collect();
+    level.reserve(wanted.len().min(room));
+    for at in wanted.iter().take(room) {
+        level.allocate(*at);
     }
-    full
+    wanted.len() > room
 }
 
 /// Bytes of all stored bricks with optimiser state.

@@ -13,10 +13,10 @@ type Mask = [u64; SIDE];
 /// Step in the finest stored voxels.
 const STEP_VOXELS: f32 = 0.5;
 
-/// Surveys the blocks of 8^3 cells: `occupied(cell centre)` says which cells can hold density.
+/// Surveys the blocks of 8^3 cells: `occupied(cell centre, finest voxel stored in its block)` says which cells can hold density.
 ///
 /// Only blocks where some level stores a brick are asked about; the mask is dilated by one cell within stored space.
-pub(super) fn survey(field: &Field, occupied: impl Fn(Vec3) -> bool + Sync) -> Occupancy {
+pub(super) fn survey(field: &Field, occupied: impl Fn(Vec3, f32) -> bool + Sync) -> Occupancy {
     let old = &field.occupancy;
     let (low, high) = field.bounds_m;
     let mut new = Occupancy::new(old.cell_m(), low, high - low).expect("same box as before");
@@ -31,9 +31,9 @@ pub(super) fn survey(field: &Field, occupied: impl Fn(Vec3) -> bool + Sync) -> O
                 number / blocks.x % blocks.y,
                 number / (blocks.x * blocks.y),
             );
-            let step_m = STEP_VOXELS * finest_voxel_in(field, &new, block)?;
-            let mask = mask_of(&new, block, &occupied);
-            (mask != [0; SIDE]).then_some((block, mask, step_m))
+            let voxel_m = finest_voxel_in(field, &new, block)?;
+            let mask = mask_of(&new, block, |centre| occupied(centre, voxel_m));
+            (mask != [0; SIDE]).then_some((block, mask, STEP_VOXELS * voxel_m))
         })
         .collect();
     for (block, mask, step_m) in masks {
@@ -43,9 +43,16 @@ pub(super) fn survey(field: &Field, occupied: impl Fn(Vec3) -> bool + Sync) -> O
 }
 
 /// Whether some point of the cell around `centre` has an opacity above `alpha` over one finest voxel.
-pub(super) fn is_dense(field: &Field, centre: Vec3, alpha: f32) -> bool {
-    let quarter = field.occupancy.cell_m() / 4.0;
+///
+/// Where voxels are no finer than cells, density hardly changes within a cell and its centre speaks for it.
+pub(super) fn is_dense(field: &Field, centre: Vec3, voxel_m: f32, alpha: f32) -> bool {
     let threshold = -(-alpha).ln_1p() / field.activation.base_voxel_m;
+    // Compared before the activation, which costs more than the look-up.
+    let raw = field.activation.raw(threshold);
+    if voxel_m >= field.occupancy.cell_m() {
+        return field.raw_density(centre) > raw;
+    }
+    let quarter = field.occupancy.cell_m() / 4.0;
     (0..8).any(|corner| {
         let sign = |bit: i32| {
             if corner >> bit & 1 == 0 {
@@ -54,7 +61,7 @@ pub(super) fn is_dense(field: &Field, centre: Vec3, alpha: f32) -> bool {
                 quarter
             }
         };
-        field.sigma(centre + Vec3::new(sign(0), sign(1), sign(2))) > threshold
+        field.raw_density(centre + Vec3::new(sign(0), sign(1), sign(2))) > raw
     })
 }
 
@@ -127,7 +134,7 @@ fn finest_voxel_in(field: &Field, mask: &Occupancy, block: UVec3) -> Option<f32>
     None
 }
 
-fn mask_of(mask: &Occupancy, block: UVec3, occupied: &impl Fn(Vec3) -> bool) -> Mask {
+fn mask_of(mask: &Occupancy, block: UVec3, occupied: impl Fn(Vec3) -> bool) -> Mask {
     let first = (block * BLOCK_SIDE).as_vec3() + 0.5;
     let mut words = [0; SIDE];
     for (z, word) in words.iter_mut().enumerate() {
