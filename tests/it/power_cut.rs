@@ -60,7 +60,13 @@ struct Campaign {
     acknowledged: Acknowledged,
     /// Kills that really hit a server in the phase.
     hits: BTreeMap<&'static str, u32>,
+    kills_by_job: BTreeMap<String, u32>,
 }
+
+/// The server gives a job up whose process died five times under it: it may be the job's fault.
+const KILLS_A_JOB: u32 = 4;
+/// Jobs that may slip through a phase before the test gives up.
+const JOBS_A_KILL: u32 = 4;
 
 impl Campaign {
     async fn run(kills: Kills) {
@@ -75,19 +81,16 @@ impl Campaign {
             draws: Draws(seed),
             acknowledged: Acknowledged::default(),
             hits: BTreeMap::new(),
+            kills_by_job: BTreeMap::new(),
         };
         for round in 0..kills.upload {
             campaign.kill_during_upload(round).await;
         }
-        for round in 0..kills.training {
-            campaign
-                .kill_during_job("training", round, |job| stage(job) == "train")
-                .await;
+        for _ in 0..kills.training {
+            campaign.kill_during_job("training", "train").await;
         }
-        for round in 0..kills.publish {
-            campaign
-                .kill_during_job("publish", round, |job| stage(job) == "publish")
-                .await;
+        for _ in 0..kills.publish {
+            campaign.kill_during_job("publish", "publish").await;
         }
         println!("seed {seed}: kills by phase {:?}", campaign.hits);
         let wanted = [
@@ -155,81 +158,105 @@ impl Campaign {
             .insert(name.to_owned(), uploaded.drive_log);
     }
 
-    /// Runs a job and kills the server once the job is in the phase.
-    async fn kill_during_job(
-        &mut self,
-        phase: &'static str,
-        round: u32,
-        in_phase: impl Fn(&v1::Job) -> bool,
-    ) {
+    /// Kills the server while the running job is in the phase. A job that gets past the phase unseen is replaced by another.
+    async fn kill_during_job(&mut self, phase: &'static str, stage: &str) {
+        // Publishing is short, training is not.
+        let longest_ms = if phase == "publish" { 30 } else { 1500 };
+        let pause = Duration::from_millis(self.draws.below(longest_ms));
         let (server, connection) = self.start().await;
+        for _ in 0..JOBS_A_KILL {
+            let name = self.unfinished_job(&connection).await;
+            if reaches(&connection, &name, stage).await {
+                tokio::time::sleep(pause).await;
+                server.kill();
+                *self.hits.entry(phase).or_default() += 1;
+                *self.kills_by_job.entry(name).or_default() += 1;
+                return;
+            }
+        }
+        panic!(
+            "seed {}: {JOBS_A_KILL} jobs went past {stage} unseen:\n{}",
+            self.seed,
+            server.log_text()
+        );
+    }
+
+    /// A job that has not ended and may be killed once more; older ones are seen to their end first.
+    async fn unfinished_job(&mut self, connection: &Connection) -> String {
+        for name in self.acknowledged.jobs.clone() {
+            let kills = self.kills_by_job.get(&name).copied().unwrap_or_default();
+            let job = connection
+                .jobs()
+                .get_job(v1::GetJobRequest { name: name.clone() })
+                .await;
+            let job = job
+                .expect("an acknowledged job is there")
+                .into_inner()
+                .job
+                .expect("a reply holds a job");
+            if !watch::is_finished(&job) && kills < KILLS_A_JOB {
+                return name;
+            }
+            self.see_to_its_end(connection, &name).await;
+        }
         let request = v1::CreateJobRequest {
             kind: v1::JobKind::Background.into(),
             drive_log: "driveLogs/log-0".to_owned(),
             budget: v1::Budget::Quick.into(),
-            seed: u64::from(round),
+            seed: self.acknowledged.jobs.len() as u64,
             ..Default::default()
         };
-        let job = watch::create_job(&connection, request)
+        let job = watch::create_job(connection, request)
             .await
             .expect("a running server takes jobs");
         self.acknowledged.jobs.insert(job.name.clone());
-        let mut stream = connection
-            .jobs()
-            .watch_job(v1::WatchJobRequest {
-                name: job.name.clone(),
-            })
-            .await
-            .expect("a job can be watched")
-            .into_inner();
-        // Publishing is short, training is not.
-        let pause = if phase == "publish" {
-            self.draws.below(30)
-        } else {
-            self.draws.below(1500)
-        };
-        while let Ok(Some(message)) = stream.message().await {
-            let job = message.job.expect("a message holds a job");
-            assert!(
-                !watch::is_finished(&job),
-                "{phase}: the job ended before it was in the phase: {job:?}"
-            );
-            if in_phase(&job) {
-                tokio::time::sleep(Duration::from_millis(pause)).await;
-                server.kill();
-                *self.hits.entry(phase).or_default() += 1;
-                return;
-            }
-        }
-        panic!("{phase}: the watch ended:\n{}", server.log_text());
+        job.name
     }
 
-    /// Every acknowledged job ends by itself, with an asset that can be read.
+    async fn see_to_its_end(&mut self, connection: &Connection, name: &str) {
+        let job = watch::watch_job(connection, name, |_| {})
+            .await
+            .expect("a job can be watched to its end");
+        assert_eq!(
+            job.state(),
+            v1::JobState::Succeeded,
+            "seed {}: {job:?}",
+            self.seed
+        );
+        assert_eq!(
+            job.assets.len(),
+            1,
+            "seed {}: one asset a job, however often it was begun: {job:?}",
+            self.seed
+        );
+        let request = v1::GetAssetRequest {
+            name: job.assets[0].clone(),
+        };
+        let asset = connection
+            .assets()
+            .get_asset(request)
+            .await
+            .expect("a finished job's asset is there");
+        let asset = asset.into_inner().asset.expect("a reply holds an asset");
+        self.acknowledged
+            .assets
+            .insert(asset.name, asset.payload.expect("assets have payloads"));
+    }
+
+    /// Every acknowledged job ends by itself, with one asset that can be read.
     async fn finish_every_job(&mut self) {
         let (_server, connection) = self.start().await;
         for name in self.acknowledged.jobs.clone() {
-            let job = watch::watch_job(&connection, &name, |_| {})
-                .await
-                .expect("a job can be watched to its end");
-            assert_eq!(job.state(), v1::JobState::Succeeded, "{job:?}");
-            assert_eq!(
-                job.assets.len(),
-                1,
-                "one asset a job, however often it was begun: {job:?}"
-            );
+            self.see_to_its_end(&connection, &name).await;
         }
-        for asset in listing::assets(&connection, v1::AssetKind::Unspecified, "")
+        let assets = listing::assets(&connection, v1::AssetKind::Unspecified, "")
             .await
-            .expect("assets are listed")
-        {
-            self.acknowledged
-                .assets
-                .insert(asset.name, asset.payload.expect("assets have payloads"));
-        }
+            .expect("assets are listed");
         assert_eq!(
-            self.acknowledged.assets.len(),
+            assets.len(),
             self.acknowledged.jobs.len(),
-            "one asset a job"
+            "seed {}: one asset a job",
+            self.seed
         );
         self.acknowledged.check(&connection, self.seed).await;
     }
@@ -282,10 +309,30 @@ impl Acknowledged {
     }
 }
 
-fn stage(job: &v1::Job) -> &str {
-    job.progress
-        .as_ref()
-        .map_or("", |progress| progress.stage.as_str())
+/// Watches a job until it is in the stage; false if it ended first.
+async fn reaches(connection: &Connection, name: &str, stage: &str) -> bool {
+    let request = v1::WatchJobRequest {
+        name: name.to_owned(),
+    };
+    let mut stream = connection
+        .jobs()
+        .watch_job(request)
+        .await
+        .expect("a job can be watched")
+        .into_inner();
+    while let Some(message) = stream.message().await.expect("the server is up") {
+        let job = message.job.expect("a message holds a job");
+        let running = job.state() == v1::JobState::Running;
+        if running
+            && job
+                .progress
+                .as_ref()
+                .is_some_and(|progress| progress.stage == stage)
+        {
+            return true;
+        }
+    }
+    false
 }
 
 /// Writes a blob in small chunks; false if the connection broke before the acknowledgement.
