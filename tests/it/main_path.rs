@@ -104,8 +104,9 @@ async fn check_objects(connection: &Connection, job: &v1::Job) {
         "every track is decided on"
     );
     for track in &job.tracks {
-        assert!(
-            track.kept != track.reason.is_empty() || track.kept,
+        assert_eq!(
+            track.kept,
+            track.reason.is_empty(),
             "a track is kept or says why not: {track:?}"
         );
     }
