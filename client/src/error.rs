@@ -98,8 +98,9 @@ fn describe(status: &Status) -> String {
             line += &format!("; {}: {}", violation.field, violation.description);
         }
     }
-    if let Some(info) = details.error_info() {
-        line += &format!(" [{}]", info.reason);
+    let reason = details.error_info().map(|info| info.reason.as_str());
+    if let Some(reason) = reason.filter(|reason| *reason != code_name(status.code())) {
+        line += &format!(" [{reason}]");
     }
     line
 }
