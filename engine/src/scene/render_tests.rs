@@ -272,9 +272,9 @@ fn cancelling_stops_and_bad_poses_are_refused() {
 fn a_recorded_mover_takes_its_pixels_from_the_image_behind_what_stands_nearer() {
     let (background, red) = (background(), car([0.8, 0.1, 0.1], 60.0));
     let composition = composition(vec![
-        placed(1, Origin::Inserted, Some(0), 10.0, 0.6),
+        placed(1, Origin::Inserted, Some(0), 10.0, 1.8),
         placed(2, Origin::Recorded, None, 16.0, 0.0),
-        placed(3, Origin::Inserted, Some(0), 24.0, -2.8),
+        placed(3, Origin::Inserted, Some(0), 22.0, -1.9),
     ]);
     let before = shoot(&background, &[&red], &composition);
     let mut frame = before.clone();
