@@ -209,7 +209,7 @@ fn chunk_messages(
             blob: (offset == start).then(|| blob.clone()),
             offset: offset as u64,
             chunk_crc32c: crc32c::crc32c(&chunk),
-            chunk: chunk.into(),
+            chunk,
         }
     })
 }

@@ -318,7 +318,7 @@ async fn snapshots_outlive_deletion_and_growth() {
     let asset = site.watch(&job).await.last().unwrap().assets[0].clone();
     let one = snapshot().await;
     assert_eq!(one, snapshot().await);
-    assert_eq!(one.assets, [asset.clone()]);
+    assert_eq!(one.assets, std::slice::from_ref(&asset));
     let name = asset.clone();
     let delete = v1::DeleteAssetRequest { name };
     site.assets().delete_asset(delete).await.unwrap();

@@ -57,7 +57,7 @@ impl Camera {
 
     /// Pixel position of a point in the camera frame; `None` nearer than [`NEAR_M`]. May lie outside the image.
     pub fn project(&self, p_camera: DVec3) -> Option<DVec2> {
-        if !(p_camera.z >= NEAR_M) {
+        if p_camera.z.is_nan() || p_camera.z < NEAR_M {
             return None;
         }
         let n = self.distortion.distort(p_camera.truncate() / p_camera.z);
