@@ -30,7 +30,8 @@ pub struct TrainPreset {
     /// Metres of step per metre of distance.
     pub step_growth: f32,
     pub steps: u64,
-    /// Ends training early; the schedule then follows the clock instead of the step. 0 is no limit.
+    /// Ends training early; the schedule then follows the clock instead of the step. 0 is no limit, and the presets' value:
+    /// a field is a function of its input and seed, not of the machine's load.
     pub seconds: f64,
     /// Bound on the memory of parameters and optimiser state.
     pub memory_bytes: u64,
@@ -48,10 +49,10 @@ pub struct TrainPreset {
 
 impl TrainPreset {
     pub fn background(budget: Budget) -> Self {
-        let (steps, seconds) = match budget {
-            Budget::Quick => (1_600, 95.0),
-            Budget::Standard => (8_000, 600.0),
-            Budget::Paper => (40_000, 0.0),
+        let steps = match budget {
+            Budget::Quick => 1_400,
+            Budget::Standard => 8_000,
+            Budget::Paper => 40_000,
         };
         Self {
             voxels_m: vec![1.6, 0.4, 0.1],
@@ -62,7 +63,7 @@ impl TrainPreset {
             mlp_width: 64,
             step_growth: 0.004,
             steps,
-            seconds,
+            seconds: 0.0,
             memory_bytes: 1 << 30,
             rates: Rates {
                 density: 0.2,
@@ -96,10 +97,10 @@ impl TrainPreset {
     }
 
     pub fn object(budget: Budget) -> Self {
-        let (steps, seconds) = match budget {
-            Budget::Quick => (1_000, 10.0),
-            Budget::Standard => (3_000, 60.0),
-            Budget::Paper => (10_000, 0.0),
+        let steps = match budget {
+            Budget::Quick => 600,
+            Budget::Standard => 3_000,
+            Budget::Paper => 10_000,
         };
         Self {
             voxels_m: vec![0.2, 0.1, 0.05],
@@ -110,7 +111,7 @@ impl TrainPreset {
             mlp_width: 64,
             step_growth: 0.002,
             steps,
-            seconds,
+            seconds: 0.0,
             memory_bytes: 512 << 20,
             rates: Rates {
                 density: 0.2,

@@ -277,7 +277,8 @@ fn refusal_of(break_it: impl FnOnce(&mut BackgroundInput)) -> String {
 
 #[test]
 fn bad_input_is_refused_by_frame_and_field_before_any_step() {
-    let cases: [(&str, &str, fn(&mut BackgroundInput)); 8] = [
+    type Case = (&'static str, &'static str, fn(&mut BackgroundInput));
+    let cases: [Case; 8] = [
         ("frame 3", "local_from_camera", |i| {
             i.views[3].local_from_camera.translation_m.x = f64::NAN
         }),

@@ -29,7 +29,7 @@ impl Plan {
             Budget::Paper => EngineBudget::Paper,
         };
         let (longer_side_px, least_frames, most_objects) = match budget {
-            Budget::Quick => (LONGER_SIDE_PX, 8, 3),
+            Budget::Quick => (LONGER_SIDE_PX, 8, 5),
             Budget::Standard => (LONGER_SIDE_PX, 8, 8),
             // Section 4.2: 20 to 60 frames an object, at full resolution.
             Budget::Paper => (u32::MAX, 20, 64),
