@@ -4,7 +4,7 @@ use super::control::{Progress, Stage, TrainControl};
 use super::preset::TrainPreset;
 use super::ray::{Rates, TrainRay};
 use super::refine::refine;
-use super::sampler::Sampler;
+use super::sampler::{RayMix, Sampler};
 use crate::backend::cpu::{CpuTrainer, Simd};
 use crate::field::Field;
 use crate::quality::psnr_db;
@@ -56,7 +56,11 @@ pub(super) fn fit(
         if surveys.next_if(|at| done >= **at).is_some() {
             run.warnings.extend(refine(&mut trainer, preset, allowed));
         }
-        sampler.draw(step, &preset.mix, &mut rays);
+        let mix = RayMix {
+            solid_teaches_sky: done >= preset.solid_sky_from,
+            ..preset.mix
+        };
+        sampler.draw(step, &mix, &mut rays);
         let sums = trainer.step(&rays, &losses, rates_at(preset, done));
         if !sums.loss.is_finite() {
             let quantity = if sums.squared_error.is_finite() {

@@ -40,6 +40,9 @@ pub struct TrainPreset {
     /// What is left of them at the last step.
     pub rate_decay: f32,
     pub mix: RayMix,
+    /// Fraction of the run from which pixels that are not sky teach the sky map. The map learns faster than density does, and
+    /// would explain a near bridge, blurred by its parallax, before any voxel could.
+    pub solid_sky_from: f64,
     pub losses: RayLosses,
     /// Fractions of the run at which occupancy is surveyed and finer bricks are stored where something is.
     pub surveys: Vec<f64>,
@@ -82,7 +85,9 @@ impl TrainPreset {
                 mirror_share: 0.0,
                 mirror_color: 0.0,
                 depth_margin_m: 2.0,
+                solid_teaches_sky: true,
             },
+            solid_sky_from: 0.5,
             losses: RayLosses {
                 sample_color: 0.05,
                 entropy: 1e-3,
@@ -130,7 +135,9 @@ impl TrainPreset {
                 mirror_share: 0.0,
                 mirror_color: 0.25,
                 depth_margin_m: 0.5,
+                solid_teaches_sky: true,
             },
+            solid_sky_from: 0.0,
             losses: RayLosses {
                 sample_color: 0.05,
                 entropy: 1e-3,

@@ -7,6 +7,8 @@ use crate::field::Ray;
 pub enum Backdrop {
     /// The field's sky map, which then learns too.
     Sky,
+    /// The field's sky map, which does not learn from this ray.
+    SkyAsIs,
     /// A fixed colour.
     Color([f32; 3]),
 }

@@ -25,6 +25,8 @@ pub struct RayMix {
     /// Objects: mirrored rays' share of rays, and the factor on their colour weight.
     pub mirror_share: f64,
     pub mirror_color: f32,
+    /// Backgrounds: pixels that are not sky teach the sky map too.
+    pub solid_teaches_sky: bool,
     /// Metres past a return at which its ray ends.
     pub depth_margin_m: f32,
 }
@@ -140,6 +142,9 @@ impl<'a> Sampler<'a> {
             PixelLabel::Unknown => {}
             PixelLabel::Foreground => {
                 ray.color_weight = mix.color_weight * share;
+                if !mix.solid_teaches_sky {
+                    ray.backdrop = Backdrop::SkyAsIs;
+                }
                 if self.object {
                     ray.silhouette = Silhouette::Opaque;
                     ray.backdrop = Backdrop::Color(std::array::from_fn(|_| draws.unit() as f32));

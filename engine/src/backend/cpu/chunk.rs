@@ -184,8 +184,8 @@ impl Chunk {
     ) {
         let sky = setting.field.sky.as_ref();
         let behind = match (ray.backdrop, sky) {
-            (Backdrop::Sky, Some(sky)) => sky.color(ray.ray.direction),
-            (Backdrop::Sky, None) => [0.0; 3],
+            (Backdrop::Sky | Backdrop::SkyAsIs, Some(sky)) => sky.color(ray.ray.direction),
+            (Backdrop::Sky | Backdrop::SkyAsIs, None) => [0.0; 3],
             (Backdrop::Color(color), _) => color,
         };
         let mut color = behind.map(|c| c * end);

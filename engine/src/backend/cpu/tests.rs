@@ -202,7 +202,7 @@ fn loss(field: &Field, rays: &[TrainRay], samples: &[Vec<RaySample>], p: &[f64])
                     .sum();
                 color[c] += transmittance
                     * match ray.backdrop {
-                        Backdrop::Sky => sigmoid(logit),
+                        Backdrop::Sky | Backdrop::SkyAsIs => sigmoid(logit),
                         Backdrop::Color(color) => f64::from(color[c]),
                     };
             }
