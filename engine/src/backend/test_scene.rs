@@ -115,6 +115,7 @@ fn fraction(i: u32, step: f64) -> f32 {
     (0.5 + f64::from(i) * step).fract() as f32
 }
 
+#[cfg(feature = "gpu")]
 /// The rays on which every decision of the CPU stays the same when the ray is moved by far more than f32 rounding.
 pub(in crate::backend) fn away_from_faces(field: &Arc<Field>, rays: &[MarchRay]) -> Vec<MarchRay> {
     /// Some hundred roundings of a coordinate of 16 m.
@@ -138,6 +139,7 @@ pub(in crate::backend) fn away_from_faces(field: &Arc<Field>, rays: &[MarchRay])
         .collect()
 }
 
+#[cfg(feature = "gpu")]
 fn moved(ray: &MarchRay, by_m: Vec3, stop_scale: f32) -> MarchRay {
     let mut moved = *ray;
     moved.ray.origin += by_m;
