@@ -16,11 +16,11 @@ async fn a_log_becomes_assets_and_assets_become_labelled_samples() {
     let data = folder.path().join("data");
     let server = Server::start(&data).await;
     let connection = server.connect().await;
-    let uploaded = upload::upload_log(&connection, &logs::tiny(7), LOG, &|_| {})
+    let uploaded = upload::upload_log(&connection, &logs::small(7), LOG, &|_| {})
         .await
         .unwrap();
     assert_eq!(uploaded.blobs_sent, uploaded.blobs_total);
-    let again = upload::upload_log(&connection, &logs::tiny(7), LOG, &|_| {})
+    let again = upload::upload_log(&connection, &logs::small(7), LOG, &|_| {})
         .await
         .unwrap();
     assert_eq!(again.blobs_sent, 0, "a second upload sends nothing");
@@ -97,7 +97,7 @@ async fn check_background(connection: &Connection, job: &v1::Job) -> String {
 }
 
 async fn check_objects(connection: &Connection, job: &v1::Job) {
-    let log = logs::tiny(7).drive_log;
+    let log = logs::small(7).drive_log;
     assert_eq!(
         job.tracks.len(),
         log.tracks.len(),
@@ -114,6 +114,14 @@ async fn check_objects(connection: &Connection, job: &v1::Job) {
         .await
         .unwrap();
     assert_eq!(assets.len(), job.assets.len());
+    let library = assets
+        .iter()
+        .filter(|asset| asset.usage() == v1::AssetUsage::Library);
+    assert!(
+        library.count() > 0,
+        "no object may be placed: {:?}",
+        job.tracks
+    );
     for asset in assets {
         assert!(
             asset.size_m.is_some() && !asset.source_track_id.is_empty(),

@@ -7,6 +7,7 @@ use backlot_client::generator::{LidarConfig, StreetConfig, StreetWorld};
 use backlot_client::read_log::ReadLog;
 
 /// A street that trains in seconds: small images, few frames, a short drive, few LiDAR beams. Equal seeds give equal logs.
+/// Its objects are too few pixels to be reconstructed.
 ///
 /// # Panics
 /// If the generator refuses its own defaults.
@@ -15,18 +16,22 @@ pub fn tiny(seed: u64) -> ReadLog {
     let mut made = MADE.lock().expect("no panic while making a log");
     let log = made
         .entry(seed)
-        .or_insert_with(|| world(seed).read_log().expect("the street can be recorded"));
+        .or_insert_with(|| record(seed, (160, 96), 12, 18.0));
     ReadLog {
         drive_log: log.drive_log.clone(),
         blobs: log.blobs.clone(),
     }
 }
 
-/// The world of [`tiny`], which can render any view exactly.
+/// A street whose nearest cars can be reconstructed.
 ///
 /// # Panics
 /// As [`tiny`].
-pub fn world(seed: u64) -> StreetWorld {
+pub fn small(seed: u64) -> ReadLog {
+    record(seed, (320, 192), 20, 24.0)
+}
+
+fn record(seed: u64, (width, height): (u32, u32), frames: u32, travel_m: f64) -> ReadLog {
     let lidar = LidarConfig {
         beams: 24,
         azimuth_step_rad: 1.0_f64.to_radians(),
@@ -34,13 +39,14 @@ pub fn world(seed: u64) -> StreetWorld {
     };
     let config = StreetConfig {
         seed,
-        frames: 12,
-        width: 160,
-        height: 96,
-        travel_m: 18.0,
+        frames,
+        width,
+        height,
+        travel_m,
         supersample: 1,
         lidar,
         ..StreetConfig::default()
     };
-    StreetWorld::new(&config).expect("the configuration is valid")
+    let world = StreetWorld::new(&config).expect("the configuration is valid");
+    world.read_log().expect("the street can be recorded")
 }
