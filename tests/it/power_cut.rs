@@ -121,10 +121,9 @@ impl Campaign {
         let (server, connection) = self.start().await;
         let after = self.draws.below(log.blobs.len() as u64) as usize;
         let pause = Duration::from_micros(self.draws.below(20_000));
-        let mut acknowledgements = 0;
         let mut server = Some(server);
-        for (digest, source) in &log.blobs {
-            if acknowledgements == after && server.is_some() {
+        for (acknowledged, (digest, source)) in log.blobs.iter().enumerate() {
+            if acknowledged == after && server.is_some() {
                 // The next write is on its way while the kill comes.
                 let killed = server.take().expect("it is there");
                 let kill = async {
@@ -143,7 +142,6 @@ impl Campaign {
                 "a running server takes blobs"
             );
             self.acknowledged.blobs.insert(digest.clone());
-            acknowledgements += 1;
         }
         let (_server, connection) = self.start().await;
         self.complete_upload(&connection, &log, &name).await;

@@ -39,7 +39,8 @@ pub(super) fn fit(
     let mut surveys = preset.surveys.iter().peekable();
     let mut error = None;
     let start_s = control.seconds();
-    for step in 0..preset.steps {
+    let steps = step_count(preset, sampler.pixel_count());
+    for step in 0..steps {
         if control.cancelled() {
             return Err(Error::Cancelled);
         }
@@ -49,7 +50,7 @@ pub(super) fn fit(
         } else {
             0.0
         };
-        let done = (step as f64 / preset.steps as f64).max(clock);
+        let done = (step as f64 / steps as f64).max(clock);
         if done >= 1.0 {
             break;
         }
@@ -79,7 +80,7 @@ pub(super) fn fit(
         control.progress(Progress {
             stage: Stage::Train,
             step: step + 1,
-            step_count: preset.steps,
+            step_count: steps,
             psnr_train: error.map(psnr_db),
         });
     }
@@ -88,6 +89,14 @@ pub(super) fn fit(
     run.seconds = control.seconds() - start_s;
     run.psnr_train = error.map(psnr_db);
     Ok((trainer.into_field(), run))
+}
+
+/// Below this even the learning rates have no time to act.
+const LEAST_STEPS: f64 = 100.0;
+
+fn step_count(preset: &TrainPreset, pixels: u64) -> u64 {
+    let enough = preset.most_passes * pixels as f64 / preset.mix.pixel_rays as f64;
+    preset.steps.min(enough.max(LEAST_STEPS).ceil() as u64)
 }
 
 /// Exponential decay, as DVGO's.

@@ -30,6 +30,8 @@ pub struct TrainPreset {
     /// Metres of step per metre of distance.
     pub step_growth: f32,
     pub steps: u64,
+    /// Fewer steps are taken where they would pass over the training pixels more often than this: a small log is learned sooner.
+    pub most_passes: f64,
     /// Ends training early; the schedule then follows the clock instead of the step. 0 is no limit, and the presets' value:
     /// a field is a function of its input and seed, not of the machine's load.
     pub seconds: f64,
@@ -52,10 +54,10 @@ pub struct TrainPreset {
 
 impl TrainPreset {
     pub fn background(budget: Budget) -> Self {
-        let steps = match budget {
-            Budget::Quick => 1_400,
-            Budget::Standard => 8_000,
-            Budget::Paper => 40_000,
+        let (steps, most_passes) = match budget {
+            Budget::Quick => (1_400, 8.0),
+            Budget::Standard => (8_000, 40.0),
+            Budget::Paper => (40_000, f64::INFINITY),
         };
         Self {
             voxels_m: vec![1.6, 0.4, 0.1],
@@ -66,6 +68,7 @@ impl TrainPreset {
             mlp_width: 64,
             step_growth: 0.004,
             steps,
+            most_passes,
             seconds: 0.0,
             memory_bytes: 1 << 30,
             rates: Rates {
@@ -102,10 +105,10 @@ impl TrainPreset {
     }
 
     pub fn object(budget: Budget) -> Self {
-        let steps = match budget {
-            Budget::Quick => 600,
-            Budget::Standard => 3_000,
-            Budget::Paper => 10_000,
+        let (steps, most_passes) = match budget {
+            Budget::Quick => (600, 40.0),
+            Budget::Standard => (3_000, 200.0),
+            Budget::Paper => (10_000, f64::INFINITY),
         };
         Self {
             voxels_m: vec![0.2, 0.1, 0.05],
@@ -116,6 +119,7 @@ impl TrainPreset {
             mlp_width: 64,
             step_growth: 0.002,
             steps,
+            most_passes,
             seconds: 0.0,
             memory_bytes: 512 << 20,
             rates: Rates {

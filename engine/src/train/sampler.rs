@@ -91,6 +91,14 @@ impl<'a> Sampler<'a> {
         self.views.len()
     }
 
+    /// Pixels that rays are drawn from.
+    pub(super) fn pixel_count(&self) -> u64 {
+        let windows = self.views.iter().map(|(_, window)| window);
+        windows
+            .map(|w| u64::from(w.width) * u64::from(w.height))
+            .sum()
+    }
+
     pub(super) fn has_depth(&self) -> bool {
         !self.depth_views.is_empty()
     }

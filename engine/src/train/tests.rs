@@ -161,6 +161,7 @@ fn orbit(around: bool, symmetric: bool) -> ObjectInput {
 fn quick(mut preset: TrainPreset, steps: u64) -> TrainPreset {
     preset.seconds = 0.0;
     preset.steps = steps;
+    preset.most_passes = f64::INFINITY;
     preset.mix.pixel_rays = 1_024;
     preset.mlp_width = 32;
     preset
