@@ -121,17 +121,17 @@ impl Campaign {
         let (server, connection) = self.start().await;
         let after = self.draws.below(log.blobs.len() as u64) as usize;
         let pause = Duration::from_micros(self.draws.below(20_000));
-        let mut server = Some(server);
-        for (acknowledged, (digest, source)) in log.blobs.iter().enumerate() {
-            if acknowledged == after && server.is_some() {
+        for (written, (digest, source)) in log.blobs.iter().enumerate() {
+            if written == after {
                 // The next write is on its way while the kill comes.
-                let killed = server.take().expect("it is there");
+                let killed = server;
                 let kill = async {
                     tokio::time::sleep(pause).await;
                     killed.kill();
                 };
-                let (written, ()) = tokio::join!(write_blob(&connection, digest, source), kill);
-                if written {
+                let (acknowledged, ()) =
+                    tokio::join!(write_blob(&connection, digest, source), kill);
+                if acknowledged {
                     self.acknowledged.blobs.insert(digest.clone());
                 }
                 *self.hits.entry("upload").or_default() += 1;
