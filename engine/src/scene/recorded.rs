@@ -1,4 +1,4 @@
-//! Original movers that no asset models, shown by the recorded image.
+//! Original movers that no asset models, and the ground around those that one does, shown by the recorded image.
 //!
 //! A sample is rendered at a recorded camera pose, so the recorded image is right wherever nothing new stands in front. Under a
 //! mover that was masked out of training the background was perhaps never seen at all; its recorded pixels are what was there.
@@ -18,7 +18,11 @@ pub struct RecordedImage<'a> {
     pub rgb8: &'a [u8],
 }
 
-/// Puts the recorded movers of a composition over its rendered frame, behind whatever was placed nearer.
+/// Room around a mover that training left out together with it, for its contact and shadow, in metres: sideways, up.
+const SURROUNDINGS_M: (f64, f64) = (0.8, 0.4);
+
+/// Puts the recorded movers of a composition over its rendered frame, behind whatever was placed nearer, and the recorded
+/// surroundings around its replayed ones.
 ///
 /// Colours come from the padded cuboid's silhouette, because mirrors and shadows reach out of annotated boxes; depth and instance
 /// from the cuboid itself. Call it after shadows were cast and before labels are made.
@@ -33,6 +37,17 @@ pub fn replay_recorded(
     let pixels = recorded.width as usize * recorded.height as usize;
     assert_eq!(recorded.rgb8.len(), 3 * pixels, "three bytes a pixel");
     let camera_from_local = composition.local_from_camera.inverse();
+    for mover in replayed(composition) {
+        let (aside_m, up_m) = SURROUNDINGS_M;
+        let size_m = mover.size_m + DVec3::new(2.0 * aside_m, 2.0 * aside_m, 2.0 * up_m);
+        let camera_from_cuboid = camera_from_local * mover.local_from_object;
+        for_each_pixel(&composition.camera, &camera_from_cuboid, size_m, |i, _| {
+            if !is_placed(composition, frame.instance[i]) {
+                let color = recorded.at(frame.width, frame.height, i);
+                frame.rgb8[3 * i..3 * i + 3].copy_from_slice(&color);
+            }
+        });
+    }
     let movers = composition.objects.iter();
     for mover in movers.filter(|o| o.origin == Origin::Recorded) {
         let camera_from_cuboid = camera_from_local * mover.local_from_object;
@@ -60,6 +75,23 @@ pub fn replay_recorded(
         );
         frame.alone_px.push((mover.instance_id, alone_px));
     }
+}
+
+/// Whether a composition needs its frame's recorded image.
+pub fn needs_recorded(composition: &Composition) -> bool {
+    let mut objects = composition.objects.iter();
+    objects.any(|o| matches!(o.origin, Origin::Recorded | Origin::Replayed))
+}
+
+fn replayed(composition: &Composition) -> impl Iterator<Item = &PlacedObject> {
+    let objects = composition.objects.iter();
+    objects.filter(|o| o.origin == Origin::Replayed)
+}
+
+/// Whether the instance is rendered from an asset.
+fn is_placed(composition: &Composition, instance: u16) -> bool {
+    let mut objects = composition.objects.iter();
+    objects.any(|o| o.instance_id == instance && o.asset.is_some())
 }
 
 /// Gives one pixel to a recorded mover, or counts who hides it there.

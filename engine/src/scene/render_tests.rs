@@ -8,7 +8,7 @@ use super::box_world::{camera, forward_from_camera};
 use super::composition::{Composition, Origin, PlacedObject};
 use super::labels::{FrameLabel, label};
 use super::projection::corners;
-use super::recorded::{RecordedImage, replay_recorded};
+use super::recorded::{RecordedImage, needs_recorded, replay_recorded};
 use super::render::{RenderOptions, RenderedFrame, Scene, render};
 use super::solid_field::solid_field;
 use super::valid_region::ValidRegion;
@@ -300,4 +300,38 @@ fn a_recorded_mover_takes_its_pixels_from_the_image_behind_what_stands_nearer() 
     let owned: u32 = labels.iter().map(|l| l.visible_px).sum();
     let mask = frame.instance.iter().filter(|i| **i != 0).count();
     assert_eq!(owned as usize, mask);
+}
+
+#[test]
+fn around_a_replayed_mover_the_recorded_image_shows_and_nothing_placed_changes() {
+    let (background, red) = (background(), car([0.8, 0.1, 0.1], 60.0));
+    let composition = composition(vec![
+        placed(1, Origin::Inserted, Some(0), 10.0, 1.8),
+        placed(2, Origin::Replayed, Some(0), 16.0, 0.0),
+    ]);
+    assert!(needs_recorded(&composition));
+    let before = shoot(&background, &[&red], &composition);
+    let mut frame = before.clone();
+    let recorded = RecordedImage {
+        width: 1,
+        height: 1,
+        rgb8: &[7, 200, 9],
+    };
+    replay_recorded(&composition, &recorded, &mut frame);
+    assert_eq!(frame.instance, before.instance);
+    let mut shown = 0;
+    for (i, instance) in frame.instance.iter().enumerate() {
+        let (now, then) = (
+            &frame.rgb8[3 * i..3 * i + 3],
+            &before.rgb8[3 * i..3 * i + 3],
+        );
+        if now == [7, 200, 9] {
+            assert_eq!(*instance, 0);
+            shown += 1;
+        } else {
+            assert_eq!(now, then);
+        }
+    }
+    let corner = &frame.rgb8[..3];
+    assert!(shown > 100 && corner == &before.rgb8[..3], "{shown}");
 }

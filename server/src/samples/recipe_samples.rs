@@ -4,8 +4,9 @@ use std::sync::Arc;
 
 use backlot_engine::asset::AssetKind;
 use backlot_engine::scene::{
-    Candidate, Composition, Origin, Recipe, RecordedImage, RenderOptions, RenderedFrame, Scene,
-    Stage, cast_shadows, compose, ignore_mask, label, render, replay_recorded, shadow_casters,
+    Candidate, Composition, Recipe, RecordedImage, RenderOptions, RenderedFrame, Scene, Stage,
+    cast_shadows, compose, ignore_mask, label, needs_recorded, render, replay_recorded,
+    shadow_casters,
 };
 use backlot_engine::{Asset, Error as EngineError};
 
@@ -128,21 +129,20 @@ impl RecipeSamples {
         })
     }
 
-    /// Shows movers without an asset by the recorded image, which is only read where there are some.
+    /// Shows movers without an asset, and the ground around those with one, by the recorded image, which is only read where there are some.
     fn replay_recorded(
         &self,
         stage: &Stage<'_>,
         composition: &Composition,
         frame: &mut RenderedFrame,
     ) -> Result<()> {
-        let mut objects = composition.objects.iter();
-        if !objects.any(|o| o.origin == Origin::Recorded) {
+        if !needs_recorded(composition) {
             return Ok(());
         }
         let recorded = &stage.recording.frames[composition.frame];
         let unusable = |why: String| Error::Invalid {
             what: format!(
-                "frame {} of {} shows movers that have no asset, and its image {why}; set drop_originals to leave them out",
+                "frame {} of {} shows original movers, and its image {why}; set drop_originals to leave them out",
                 recorded.frame_index, stage.source_log
             ),
         };

@@ -122,8 +122,8 @@ fn scene(
             },
             world_from_cuboid: rigid_from_wire(cuboid.and_then(|c| c.world_from_cuboid.as_ref())),
         });
-        // An original mover's own pixels have its shadow only under it.
-        scene.casts_shadow.push(with_shadows);
+        // Originals have their shadows in every sample; only those of inserts are an option.
+        scene.casts_shadow.push(with_shadows || is_original);
         scene
             .inserts
             .push((!is_original).then_some(placed.instance_id as u16));
