@@ -13,8 +13,8 @@ use super::source::Source;
 use crate::jobs::follow;
 use crate::progress::Progress;
 
-/// With fewer objects than this from the log itself, generated ones are added.
-const ENOUGH_OBJECTS: usize = 2;
+/// With fewer objects than this from the log itself, generated ones are added: none of two or three may fit a mover's slot.
+const ENOUGH_OBJECTS: usize = 4;
 
 /// The assets of one run.
 pub(crate) struct Library {
