@@ -15,7 +15,7 @@ trap cleanup EXIT
 python3 -m venv "$scratch/venv"
 python=$scratch/venv/bin/python
 export PIP_DISABLE_PIP_VERSION_CHECK=1
-"$python" -m pip install --quiet "$here[test]" 'ruff>=0.9'
+"$python" -m pip install --quiet "$here[test]" 'ruff==0.17.6'
 "$python" -m ruff check --quiet --no-cache "$here"
 "$python" -m ruff format --quiet --no-cache --check "$here"
 
