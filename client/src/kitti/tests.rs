@@ -321,9 +321,11 @@ fn a_truncated_image_is_named() {
 fn recorded_drives(test: &str) -> Option<PathBuf> {
     let folder = std::env::var_os("BACKLOT_DATA").map(PathBuf::from);
     if folder.is_none() {
-        println!(
-            "SKIPPED {test}: BACKLOT_DATA does not name a folder with kitti_0052 and kitti_0009_clip"
+        let line = format!(
+            "LEFT OUT: {test}: BACKLOT_DATA names no folder with kitti_0052 and kitti_0009_clip\n"
         );
+        // Past the harness, which captures what passing tests print; a closed stderr must not fail the test.
+        let _ = std::io::Write::write_all(&mut std::io::stderr(), line.as_bytes());
     }
     folder
 }

@@ -4,8 +4,7 @@ use glam::{DVec3, UVec3, Vec3};
 use rayon::prelude::*;
 
 use super::control::{Progress, Stage, TrainControl};
-use super::evaluate::evaluate;
-use super::fit::fit;
+use super::fit::{fit, measured};
 use super::free_space::{FreeSpace, Visibility};
 use super::input::{BackgroundInput, Trained};
 use super::preset::TrainPreset;
@@ -66,14 +65,7 @@ pub fn train_background(
     let field = prepare(input, preset, seed, &allowed)?;
     let sampler = Sampler::whole_images(&input.views, seed);
     let (field, run) = fit(field, &sampler, preset, &allowed, control)?;
-    control.progress(Progress {
-        stage: Stage::Evaluate,
-        step: preset.steps,
-        step_count: preset.steps,
-        psnr_train: run.psnr_train,
-    });
-    let quality = evaluate(&field, &input.views, run);
-    Ok(Trained { field, quality })
+    Ok(measured(field, run, &input.views, control))
 }
 
 fn prepare(

@@ -1,6 +1,8 @@
 //! The training loop, the same for every kind of field.
 
 use super::control::{Progress, Stage, TrainControl};
+use super::evaluate::evaluate;
+use super::input::Trained;
 use super::preset::TrainPreset;
 use super::ray::{Rates, TrainRay};
 use super::refine::refine;
@@ -8,6 +10,7 @@ use super::sampler::{RayMix, Sampler};
 use crate::backend::cpu::{CpuTrainer, Simd};
 use crate::field::Field;
 use crate::quality::psnr_db;
+use crate::view::TrainView;
 use crate::{Error, Result};
 
 /// Depth rays whose error exceeds this quantile of the previous step's are outliers.
@@ -18,6 +21,7 @@ const ERROR_MOMENTUM: f64 = 0.05;
 /// What a run was.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Run {
+    pub(super) steps: u64,
     pub(super) rays: u64,
     pub(super) seconds: f64,
     pub(super) psnr_train: Option<f64>,
@@ -40,6 +44,7 @@ pub(super) fn fit(
     let mut error = None;
     let start_s = control.seconds();
     let steps = step_count(preset, sampler.pixel_count());
+    run.steps = steps;
     for step in 0..steps {
         if control.cancelled() {
             return Err(Error::Cancelled);
@@ -89,6 +94,23 @@ pub(super) fn fit(
     run.seconds = control.seconds() - start_s;
     run.psnr_train = error.map(psnr_db);
     Ok((trainer.into_field(), run))
+}
+
+/// The fitted field with its figures on the held-out views.
+pub(super) fn measured(
+    field: Field,
+    run: Run,
+    views: &[TrainView],
+    control: &dyn TrainControl,
+) -> Trained {
+    control.progress(Progress {
+        stage: Stage::Evaluate,
+        step: run.steps,
+        step_count: run.steps,
+        psnr_train: run.psnr_train,
+    });
+    let quality = evaluate(&field, views, run);
+    Trained { field, quality }
 }
 
 /// Below this even the learning rates have no time to act.

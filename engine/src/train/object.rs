@@ -4,8 +4,7 @@ use glam::{DVec3, UVec3, Vec3};
 
 use super::background::empty_field;
 use super::control::{Progress, Stage, TrainControl};
-use super::evaluate::evaluate;
-use super::fit::fit;
+use super::fit::{fit, measured};
 use super::input::{ObjectInput, Trained};
 use super::preset::TrainPreset;
 use super::refine::field_bytes;
@@ -69,14 +68,7 @@ pub fn train_object(
     preset.mix.mirror_share = if input.symmetric { MIRROR_SHARE } else { 0.0 };
     let field = prepare(input, half_m, &preset, seed)?;
     let (field, run) = fit(field, &sampler, &preset, &|_, _| true, control)?;
-    control.progress(Progress {
-        stage: Stage::Evaluate,
-        step: preset.steps,
-        step_count: preset.steps,
-        psnr_train: run.psnr_train,
-    });
-    let quality = evaluate(&field, &input.views, run);
-    Ok(Trained { field, quality })
+    Ok(measured(field, run, &input.views, control))
 }
 
 /// All bricks of the box, and density at the returns. The box is small, so nothing is left out.
