@@ -65,7 +65,7 @@ pub fn train_background(
     let field = prepare(input, preset, seed, &allowed)?;
     let sampler = Sampler::whole_images(&input.views, seed);
     let (field, run) = fit(field, &sampler, preset, &allowed, control)?;
-    Ok(measured(field, run, &input.views, control))
+    Ok(measured(field, run, &input.views, None, control))
 }
 
 fn prepare(

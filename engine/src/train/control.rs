@@ -8,6 +8,8 @@ pub enum Stage {
     Evaluate,
 }
 
+use crate::field::Field;
+
 /// A training run's state at one moment.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Progress {
@@ -21,6 +23,9 @@ pub struct Progress {
 /// The caller's side of a training run. Called from one thread, once a step at most.
 pub trait TrainControl: Sync {
     fn progress(&self, progress: Progress);
+
+    /// Shows the field after every step, to be looked at and not changed; what this takes is for [`Self::seconds`] to leave out.
+    fn inspect(&self, _progress: Progress, _field: &Field) {}
 
     /// Asked before every step; `true` ends the run with [`crate::Error::Cancelled`].
     fn cancelled(&self) -> bool;

@@ -13,16 +13,27 @@ const DEPTH_RANGE_M: f32 = 50.0;
 const DEPTH_SHARE: f64 = 0.95;
 
 /// Measures a background, or an object within its box. An object's accumulation figures fall back on its training views.
-pub(super) fn evaluate(field: &Field, views: &[TrainView], run: Run) -> QualityReport {
-    let mut sums = Sums::default();
+///
+/// `backdrop` is the colour behind a bounded scene, which has no mask to be judged by.
+pub(super) fn evaluate(
+    field: &Field,
+    views: &[TrainView],
+    run: Run,
+    backdrop: Option<[f32; 3]>,
+) -> QualityReport {
+    let mut sums = Sums {
+        behind: backdrop.unwrap_or_default(),
+        ..Sums::default()
+    };
     let mut held_out: Vec<u32> = Vec::new();
     for view in views.iter().filter(|view| view.split == Split::HeldOut) {
         sums.add(field, view);
         held_out.push(view.frame_index);
     }
     held_out.sort_unstable();
+    let masked = field.sky.is_none() && backdrop.is_none();
     let mut silhouettes = Sums::default();
-    if held_out.is_empty() && field.sky.is_none() {
+    if held_out.is_empty() && masked {
         views.iter().for_each(|view| silhouettes.add(field, view));
     } else {
         silhouettes = sums.clone();
@@ -37,16 +48,8 @@ pub(super) fn evaluate(field: &Field, views: &[TrainView], run: Run) -> QualityR
             .count() as u32,
         held_out_views: held_out.len() as u32,
         held_out_frames: held_out,
-        accumulation_in_mask: field
-            .sky
-            .is_none()
-            .then(|| mean(&silhouettes.inside))
-            .flatten(),
-        halo: field
-            .sky
-            .is_none()
-            .then(|| mean(&silhouettes.around))
-            .flatten(),
+        accumulation_in_mask: masked.then(|| mean(&silhouettes.inside)).flatten(),
+        halo: masked.then(|| mean(&silhouettes.around)).flatten(),
         train_seconds: run.seconds,
         train_rays: run.rays,
         psnr_train: run.psnr_train,
@@ -57,6 +60,8 @@ pub(super) fn evaluate(field: &Field, views: &[TrainView], run: Run) -> QualityR
 
 #[derive(Clone, Debug, Default)]
 struct Sums {
+    /// Colour behind a field that has no sky.
+    behind: [f32; 3],
     squared_error: f64,
     pixels: u64,
     ssims: Vec<f64>,
@@ -77,9 +82,17 @@ impl Sums {
             .filter(|(_, ray)| field.sky.is_some() || ray.cross_box(low, high).is_some())
             .collect();
         let rays: Vec<Ray> = through.iter().map(|(_, ray)| *ray).collect();
-        let mut image = vec![RenderedRay::default(); width * height];
+        let nothing = RenderedRay {
+            color: self.behind,
+            ..RenderedRay::default()
+        };
+        let mut image = vec![nothing; width * height];
         for ((at, _), rendered) in through.iter().zip(render_rays(field, &rays)) {
-            image[*at] = rendered;
+            let left = 1.0 - rendered.accumulation;
+            image[*at] = RenderedRay {
+                color: std::array::from_fn(|c| rendered.color[c] + left * self.behind[c]),
+                ..rendered
+            };
             match view.labels[*at] {
                 PixelLabel::Foreground => self.inside.push(f64::from(rendered.accumulation)),
                 PixelLabel::Background => self.around.push(f64::from(rendered.accumulation)),

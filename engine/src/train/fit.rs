@@ -82,12 +82,14 @@ pub(super) fn fit(
         }
         losses.depth_trim_m = quantile(&sums.range_errors_m, DEPTH_TRIM_QUANTILE);
         run.rays += rays.len() as u64;
-        control.progress(Progress {
+        let progress = Progress {
             stage: Stage::Train,
             step: step + 1,
             step_count: steps,
             psnr_train: error.map(psnr_db),
-        });
+        };
+        control.progress(progress);
+        control.inspect(progress, trainer.field());
     }
     run.warnings
         .extend(refine(&mut trainer, preset, &|_, _| false));
@@ -101,6 +103,7 @@ pub(super) fn measured(
     field: Field,
     run: Run,
     views: &[TrainView],
+    backdrop: Option<[f32; 3]>,
     control: &dyn TrainControl,
 ) -> Trained {
     control.progress(Progress {
@@ -109,7 +112,7 @@ pub(super) fn measured(
         step_count: run.steps,
         psnr_train: run.psnr_train,
     });
-    let quality = evaluate(&field, views, run);
+    let quality = evaluate(&field, views, run, backdrop);
     Trained { field, quality }
 }
 

@@ -28,6 +28,17 @@ pub struct ObjectInput {
     pub lidar_points: Vec<[f32; 3]>,
 }
 
+/// A bounded scene seen from outside, in front of one colour.
+#[derive(Clone, Debug, Default)]
+pub struct BoundedInput {
+    pub views: Vec<TrainView>,
+    /// The box that holds the scene, in the views' local frame, metres.
+    pub low_m: DVec3,
+    pub high_m: DVec3,
+    /// sRGB behind the scene, 0..1.
+    pub backdrop: [f32; 3],
+}
+
 /// A fitted field and how good it is.
 #[derive(Clone, Debug)]
 pub struct Trained {

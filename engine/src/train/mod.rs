@@ -4,6 +4,7 @@
 //! then loop: draw rays, take a step on the backend, now and then survey what is occupied and store finer bricks there.
 
 mod background;
+mod bounded;
 mod control;
 mod evaluate;
 mod fit;
@@ -21,8 +22,9 @@ mod tests;
 mod validate;
 
 pub use background::train_background;
+pub use bounded::{seen_box, train_bounded};
 pub use control::{NoControl, Progress, Stage, TrainControl};
-pub use input::{BackgroundInput, ObjectInput, Trained};
+pub use input::{BackgroundInput, BoundedInput, ObjectInput, Trained};
 pub use object::{padded_half_m, train_object};
 pub use preset::{Budget, TrainPreset};
 pub use sampler::RayMix;

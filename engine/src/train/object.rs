@@ -68,7 +68,7 @@ pub fn train_object(
     preset.mix.mirror_share = if input.symmetric { MIRROR_SHARE } else { 0.0 };
     let field = prepare(input, half_m, &preset, seed)?;
     let (field, run) = fit(field, &sampler, &preset, &|_, _| true, control)?;
-    Ok(measured(field, run, &input.views, control))
+    Ok(measured(field, run, &input.views, None, control))
 }
 
 /// All bricks of the box, and density at the returns. The box is small, so nothing is left out.

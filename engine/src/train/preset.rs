@@ -52,6 +52,10 @@ pub struct TrainPreset {
     pub survey_alpha: f32,
 }
 
+/// `fast`: finest voxel in pixels, and the most of them along an edge.
+const FAST_PIXELS: f64 = 0.6;
+const FAST_MOST_VOXELS: f64 = 320.0;
+
 impl TrainPreset {
     pub fn background(budget: Budget) -> Self {
         let (steps, most_passes) = match budget {
@@ -100,6 +104,55 @@ impl TrainPreset {
                 depth_trim_m: f32::INFINITY,
             },
             surveys: vec![0.1, 0.25, 0.5],
+            survey_alpha: 5e-3,
+        }
+    }
+
+    /// The fastest way to a good field of a bounded scene whose box has this edge and whose pixels are `footprint_m` wide at its
+    /// centre.
+    pub fn fast(edge_m: f64, footprint_m: f64) -> Self {
+        let finest = (FAST_PIXELS * footprint_m).max(edge_m / FAST_MOST_VOXELS) as f32;
+        Self {
+            voxels_m: vec![8.0 * finest, 2.0 * finest, finest],
+            level_reach_m: vec![f32::INFINITY; 3],
+            box_reach_m: 0.0,
+            alpha_init: 1e-3,
+            seed_sigma: 0.0,
+            mlp_width: 32,
+            step_growth: 0.0,
+            steps: 30_000,
+            most_passes: f64::INFINITY,
+            seconds: 0.0,
+            memory_bytes: 1 << 29,
+            rates: Rates {
+                density: 0.2,
+                features: 0.1,
+                mlp: 2e-3,
+                sky: 0.0,
+            },
+            rate_decay: 0.1,
+            mix: RayMix {
+                pixel_rays: 4_096,
+                depth_rays: 0,
+                color_weight: 1.0,
+                depth_weight: 0.0,
+                silhouette_weight: 0.0,
+                sky_weight: 0.0,
+                mirror_share: 0.0,
+                mirror_color: 0.0,
+                depth_margin_m: 0.0,
+                solid_teaches_sky: true,
+            },
+            solid_sky_from: 0.0,
+            losses: RayLosses {
+                sample_color: 0.01,
+                entropy: 1e-3,
+                depth_scale_m: 1.0,
+                depth_cap_m: 1.0,
+                min_weight: 3e-3,
+                depth_trim_m: f32::INFINITY,
+            },
+            surveys: vec![0.005, 0.02, 0.05, 0.1, 0.2, 0.4],
             survey_alpha: 5e-3,
         }
     }

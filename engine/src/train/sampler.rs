@@ -40,38 +40,73 @@ struct PixelWindow {
     height: u32,
 }
 
+impl PixelWindow {
+    fn whole(view: &TrainView) -> Self {
+        Self {
+            left: 0,
+            top: 0,
+            width: view.camera.width,
+            height: view.camera.height,
+        }
+    }
+}
+
+/// What the views show, which decides what lies behind the field.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Subject {
+    /// A scene under the field's own sky.
+    Background,
+    /// Composited over random colours, so that transparency never explains a pixel.
+    Object,
+    /// In front of this colour.
+    Bounded([f32; 3]),
+}
+
 /// Draws rays, a pure function of (seed, step, ray).
 #[derive(Debug)]
 pub(super) struct Sampler<'a> {
     views: Vec<(&'a TrainView, PixelWindow)>,
     /// Views with LiDAR returns.
     depth_views: Vec<&'a TrainView>,
-    /// Objects composite over random colours, so that transparency never explains a pixel.
-    object: bool,
+    subject: Subject,
     seed: u64,
 }
 
 impl<'a> Sampler<'a> {
     /// Rays through all pixels of the training views.
     pub(super) fn whole_images(views: &'a [TrainView], seed: u64) -> Self {
-        let whole = |view: &TrainView| PixelWindow {
-            left: 0,
-            top: 0,
-            width: view.camera.width,
-            height: view.camera.height,
-        };
-        Self::new(views, |view| Some(whole(view)), false, seed)
+        Self::new(
+            views,
+            |view| Some(PixelWindow::whole(view)),
+            Subject::Background,
+            seed,
+        )
+    }
+
+    /// Rays through all pixels of views of a scene in front of one colour.
+    pub(super) fn before(views: &'a [TrainView], color: [f32; 3], seed: u64) -> Self {
+        Self::new(
+            views,
+            |view| Some(PixelWindow::whole(view)),
+            Subject::Bounded(color),
+            seed,
+        )
     }
 
     /// Rays through the pixels that the padded cuboid of half extents `half_m` covers.
     pub(super) fn around_cuboid(views: &'a [TrainView], half_m: DVec3, seed: u64) -> Self {
-        Self::new(views, |view| cuboid_window(view, half_m), true, seed)
+        Self::new(
+            views,
+            |view| cuboid_window(view, half_m),
+            Subject::Object,
+            seed,
+        )
     }
 
     fn new(
         views: &'a [TrainView],
         window: impl Fn(&TrainView) -> Option<PixelWindow>,
-        object: bool,
+        subject: Subject,
         seed: u64,
     ) -> Self {
         let train = views.iter().filter(|view| view.split == Split::Train);
@@ -81,7 +116,7 @@ impl<'a> Sampler<'a> {
                 .filter_map(|view| Some((view, window(view)?)))
                 .collect(),
             depth_views: train.filter(|view| !view.depth.is_empty()).collect(),
-            object,
+            subject,
             seed,
         }
     }
@@ -119,7 +154,7 @@ impl<'a> Sampler<'a> {
                 }
             })
             .collect_into_vec(out);
-        if self.object {
+        if self.subject == Subject::Object {
             balance(mix, out);
         }
     }
@@ -153,9 +188,14 @@ impl<'a> Sampler<'a> {
                 if !mix.solid_teaches_sky {
                     ray.backdrop = Backdrop::SkyAsIs;
                 }
-                if self.object {
-                    ray.silhouette = Silhouette::Opaque;
-                    ray.backdrop = Backdrop::Color(std::array::from_fn(|_| draws.unit() as f32));
+                match self.subject {
+                    Subject::Background => {}
+                    Subject::Object => {
+                        ray.silhouette = Silhouette::Opaque;
+                        let color = std::array::from_fn(|_| draws.unit() as f32);
+                        ray.backdrop = Backdrop::Color(color);
+                    }
+                    Subject::Bounded(color) => ray.backdrop = Backdrop::Color(color),
                 }
             }
             PixelLabel::Background => ray.silhouette = Silhouette::Transparent,

@@ -9,6 +9,7 @@ mod lanes;
 mod march;
 mod matmul;
 pub(crate) mod mlp;
+mod ray_losses;
 mod scatter;
 mod simd;
 #[cfg(test)]
