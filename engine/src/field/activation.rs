@@ -1,21 +1,7 @@
 //! Activations of density and colour.
 
-/// ln(1 + e^x) without overflow.
-#[inline]
-pub fn softplus(x: f32) -> f32 {
-    x.max(0.0) + (-x.abs()).exp().ln_1p()
-}
-
-/// 1 / (1 + e^-x) without overflow.
-#[inline]
-pub fn sigmoid(x: f32) -> f32 {
-    let e = (-x.abs()).exp();
-    if x >= 0.0 {
-        1.0 / (1.0 + e)
-    } else {
-        e / (1.0 + e)
-    }
-}
+use super::transcendental::exp_m1;
+pub use super::transcendental::{sigmoid, softplus};
 
 /// Turns raw lattice density into sigma in 1/m.
 ///
@@ -41,7 +27,7 @@ impl DensityActivation {
     }
 
     /// Density in 1/m.
-    #[inline]
+    #[inline(always)]
     pub fn sigma(&self, raw: f32) -> f32 {
         softplus(raw + self.act_shift) / self.base_voxel_m
     }
@@ -49,7 +35,7 @@ impl DensityActivation {
     /// Derivative of [`Self::sigma`] by the raw density, from sigma itself: the logistic of x is `1 - exp(-softplus(x))`.
     #[inline]
     pub fn slope(&self, sigma: f32) -> f32 {
-        -(-sigma * self.base_voxel_m).exp_m1() / self.base_voxel_m
+        -exp_m1(-sigma * self.base_voxel_m) / self.base_voxel_m
     }
 
     /// The raw density of a wanted sigma, inverse of [`Self::sigma`].

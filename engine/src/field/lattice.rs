@@ -41,6 +41,7 @@ pub(crate) struct PlacedParameters<'a> {
 #[derive(Clone, PartialEq)]
 pub struct Lattice {
     voxel_m: f32,
+    nodes_per_m: f32,
     origin_m: Vec3,
     /// Brick positions per axis. The index has one more layer per axis, always null, for the upper corners.
     bricks: UVec3,
@@ -74,6 +75,7 @@ impl Lattice {
             && cells <= MAX_INDEX_CELLS as f64;
         sound.then(|| Self {
             voxel_m,
+            nodes_per_m: 1.0 / voxel_m,
             origin_m,
             bricks,
             index: vec![NULL_BRICK; cells as usize],
@@ -85,6 +87,21 @@ impl Lattice {
 
     pub fn voxel_m(&self) -> f32 {
         self.voxel_m
+    }
+
+    pub(crate) fn nodes_per_m(&self) -> f32 {
+        self.nodes_per_m
+    }
+
+    /// Nodes along each axis: where positions in nodes leave the level.
+    pub(crate) fn nodes_per_axis(&self) -> Vec3 {
+        (self.bricks * BRICK_SIDE as u32).as_vec3()
+    }
+
+    /// Steps of the index along y and z.
+    pub(crate) fn index_strides(&self) -> [u32; 2] {
+        let row = self.bricks.x + 1;
+        [row, row * (self.bricks.y + 1)]
     }
 
     pub fn brick_m(&self) -> f32 {
@@ -217,7 +234,7 @@ impl Lattice {
     /// The nodes and weights that interpolate at `p`; `None` outside the level or where nothing is stored.
     #[inline]
     pub fn corners(&self, p: Vec3) -> Option<Corners> {
-        let q = (p - self.origin_m) * (1.0 / self.voxel_m);
+        let q = (p - self.origin_m) * self.nodes_per_m;
         let limit = (self.bricks * BRICK_SIDE as u32).as_vec3();
         // Written so that NaN is outside.
         if !(q.cmpge(Vec3::ZERO).all() && q.cmplt(limit).all()) {

@@ -3,7 +3,10 @@
 use glam::Vec3;
 
 use super::Field;
-use super::occupancy::Space;
+use super::occupancy::{Space, Walker};
+use super::probe::{GROUP, Lane, Positions, add_raw_densities};
+use crate::backend::cpu::lanes::Lanes;
+use crate::backend::cpu::simd::dispatch;
 
 /// One interval of a ray with the density at a point in it.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -60,36 +63,121 @@ pub(crate) const SIGMA_MIN: f32 = 1e-5;
 /// Steps past a cell's face, so that the next look-up is in the next cell: in cells.
 pub(crate) const FACE_NUDGE: f32 = 1e-3;
 
-/// Appends the samples of one ray to `out`, near to far, and returns the optical depth reached.
-pub(super) fn march(field: &Field, ray: Ray, range: MarchRange, out: &mut Vec<RaySample>) -> f32 {
+dispatch!(
+    /// Appends the samples of one ray to `out`, near to far, and adds the optical depth reached to `tau`.
+    pub(super) fn march => march_generic(
+        field: &Field,
+        ray: Ray,
+        range: MarchRange,
+        out: &mut Vec<RaySample>,
+        tau: &mut f32,
+    )
+);
+
+/// [`march`] compiled into its caller.
+#[inline(always)]
+pub(crate) fn march_generic<L: Lanes, const R: usize, const V: usize>(
+    field: &Field,
+    ray: Ray,
+    range: MarchRange,
+    out: &mut Vec<RaySample>,
+    tau: &mut f32,
+) {
     let (low, high) = field.bounds();
     let Some((near, far)) = ray.cross_box(low, high) else {
-        return 0.0;
+        return;
     };
-    let inverse = ray.direction.recip();
-    let nudge_m = FACE_NUDGE * field.occupancy.cell_m();
-    let (mut t, end) = (near.max(range.t_min), far.min(range.t_max));
-    let mut tau = 0.0;
-    while t < end && tau <= range.stop_tau {
-        match field.occupancy.at(ray.at(t)) {
-            Space::Empty { corner_m, side_m } => {
-                let (a, b) = (
-                    (corner_m - ray.origin) * inverse,
-                    (corner_m + side_m - ray.origin) * inverse,
-                );
-                t = a.max(b).min_element().max(t) + nudge_m;
+    let end = far.min(range.t_max);
+    let mut walk = Walk {
+        walker: field.occupancy.walker(),
+        ray,
+        inverse: ray.direction.recip(),
+        t: near.max(range.t_min),
+        end,
+        nudge_m: FACE_NUDGE * field.occupancy.cell_m(),
+        step_growth: field.step_growth,
+    };
+    let (mut t, mut dt) = ([0.0; GROUP], [0.0; GROUP]);
+    loop {
+        let count = walk.next_intervals(range.phase, &mut t, &mut dt);
+        if count == 0 {
+            return;
+        }
+        let sigma = densities(field, ray, &t, count);
+        for i in 0..count {
+            if *tau > range.stop_tau {
+                return;
             }
-            Space::Occupied { step_m } => {
-                let dt = step_m.max(field.step_growth * t).min(end - t);
-                let at = t + range.phase * dt;
-                let sigma = field.sigma(ray.at(at));
-                if sigma > SIGMA_MIN {
-                    tau += sigma * dt;
-                    out.push(RaySample { t: at, dt, sigma });
-                }
-                t += dt.max(nudge_m);
+            if sigma[i] > SIGMA_MIN {
+                *tau += sigma[i] * dt[i];
+                out.push(RaySample {
+                    t: t[i],
+                    dt: dt[i],
+                    sigma: sigma[i],
+                });
             }
         }
+        if *tau > range.stop_tau {
+            return;
+        }
     }
-    tau
+}
+
+/// Steps along a ray through occupied space.
+struct Walk<'a> {
+    walker: Walker<'a>,
+    ray: Ray,
+    inverse: Vec3,
+    t: f32,
+    end: f32,
+    nudge_m: f32,
+    step_growth: f32,
+}
+
+impl Walk<'_> {
+    /// The next intervals and the points in them at which density is read; fewer than a group only at the ray's end.
+    #[inline(always)]
+    fn next_intervals(&mut self, phase: f32, at: &mut Lane<f32>, dt: &mut Lane<f32>) -> usize {
+        let (origin, inverse) = (self.ray.origin, self.inverse);
+        let mut count = 0;
+        while self.t < self.end {
+            match self.walker.at(self.ray.at(self.t)) {
+                Space::Empty { corner_m, side_m } => {
+                    let (a, b) = (
+                        (corner_m - origin) * inverse,
+                        (corner_m + side_m - origin) * inverse,
+                    );
+                    self.t = a.max(b).min_element().max(self.t) + self.nudge_m;
+                }
+                Space::Occupied { step_m } => {
+                    let step = step_m.max(self.step_growth * self.t).min(self.end - self.t);
+                    at[count] = self.t + phase * step;
+                    dt[count] = step;
+                    self.t += step.max(self.nudge_m);
+                    count += 1;
+                    if count == GROUP {
+                        break;
+                    }
+                }
+            }
+        }
+        count
+    }
+}
+
+/// Densities in 1/m at the first `count` distances; 0 where no level stores anything.
+#[inline(always)]
+fn densities(field: &Field, ray: Ray, t: &Lane<f32>, count: usize) -> Lane<f32> {
+    let at = Positions::on_ray(ray.origin.to_array(), ray.direction.to_array(), t);
+    let (mut raw, mut stored) = ([0.0; GROUP], [false; GROUP]);
+    for level in &field.levels {
+        add_raw_densities(level, &at, count, &mut raw, &mut stored);
+    }
+    let activation = field.activation;
+    let mut sigma = [0.0; GROUP];
+    for i in 0..GROUP {
+        let value = activation.sigma(raw[i]);
+        sigma[i] = if stored[i] { value } else { 0.0 };
+    }
+    sigma
 }

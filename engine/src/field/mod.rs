@@ -10,7 +10,9 @@ pub mod lattice;
 pub mod march;
 pub mod mlp;
 pub mod occupancy;
+pub(crate) mod probe;
 pub mod sky;
+pub mod transcendental;
 pub mod view_encoding;
 
 pub use activation::DensityActivation;
@@ -24,7 +26,7 @@ pub use view_encoding::encode_view;
 use glam::Vec3;
 
 use crate::backend::cpu::Simd;
-use crate::backend::cpu::mlp::{MlpBatch, PADDED_FEATURES};
+use crate::backend::cpu::mlp::MlpBatch;
 
 /// A trained or training radiance field in its local metric frame.
 #[derive(Clone, Debug, PartialEq)]
@@ -149,7 +151,9 @@ impl Field {
 
     /// [`Self::march`] with a free sampling phase.
     pub fn march_ray(&self, ray: Ray, range: MarchRange, out: &mut Vec<RaySample>) -> f32 {
-        march::march(self, ray, range, out)
+        let mut tau = 0.0;
+        march::march(Simd::detect(), self, ray, range, out, &mut tau);
+        tau
     }
 
     /// Replaces `out` by the sRGB colours at `positions` seen along `directions` (unit vectors), same lengths.
@@ -169,11 +173,8 @@ impl Field {
         );
         let batch = &mut scratch.batch;
         batch.clear();
-        for (number, (position, direction)) in positions.iter().zip(directions).enumerate() {
-            batch.features.extend_from_slice(&self.features(*position));
-            batch
-                .features
-                .extend_from_slice(&[0.0; PADDED_FEATURES - FEATURES]);
+        probe::gather_features(Simd::detect(), self, positions, &mut batch.features);
+        for (number, direction) in directions.iter().enumerate() {
             if directions.get(number + 1) != Some(direction) {
                 batch.views.extend_from_slice(&encode_view(*direction));
                 batch.ray_ends.push(number as u32 + 1);

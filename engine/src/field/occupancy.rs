@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use glam::{UVec3, Vec3};
+use glam::{IVec3, UVec3, Vec3};
 
 /// Cells along each edge of a block.
 pub const BLOCK_SIDE: u32 = 8;
@@ -112,10 +112,23 @@ impl Occupancy {
 
     #[inline]
     pub fn at(&self, p: Vec3) -> Space {
-        let q = (p - self.origin_m) * (1.0 / self.cell_m);
-        // A ray inside the box can leave it by rounding; the nearest cell then answers.
-        let cells = (self.blocks * BLOCK_SIDE).as_ivec3();
-        let cell = q.as_ivec3().clamp(glam::IVec3::ZERO, cells - 1).as_uvec3();
+        self.walker().at(p)
+    }
+
+    /// For asking about positions that mostly lie in the same cell as the one before.
+    #[inline]
+    pub(crate) fn walker(&self) -> Walker<'_> {
+        Walker {
+            mask: self,
+            cells_per_m: 1.0 / self.cell_m,
+            last: (self.blocks * BLOCK_SIDE).as_ivec3() - 1,
+            cell: IVec3::MIN,
+            space: Space::Occupied { step_m: 0.0 },
+        }
+    }
+
+    #[inline]
+    fn space_of(&self, cell: UVec3) -> Space {
         let block = cell >> 3u32;
         let at = ((block.z * self.blocks.y + block.y) * self.blocks.x + block.x) as usize;
         let stored = self.index[at] as usize;
@@ -135,6 +148,30 @@ impl Occupancy {
         Space::Occupied {
             step_m: self.steps_m[stored],
         }
+    }
+}
+
+/// Looks positions up in a mask and remembers the last cell.
+#[derive(Debug)]
+pub(crate) struct Walker<'a> {
+    mask: &'a Occupancy,
+    cells_per_m: f32,
+    last: IVec3,
+    cell: IVec3,
+    space: Space,
+}
+
+impl Walker<'_> {
+    #[inline(always)]
+    pub(crate) fn at(&mut self, p: Vec3) -> Space {
+        let q = (p - self.mask.origin_m) * self.cells_per_m;
+        // A ray inside the box can leave it by rounding; the nearest cell then answers.
+        let cell = q.as_ivec3().clamp(IVec3::ZERO, self.last);
+        if cell != self.cell {
+            self.cell = cell;
+            self.space = self.mask.space_of(cell.as_uvec3());
+        }
+        self.space
     }
 }
 

@@ -40,7 +40,8 @@ pub(super) fn fit(
     let mut run = Run::default();
     let mut rays: Vec<TrainRay> = Vec::new();
     let mut losses = preset.losses;
-    let mut surveys = preset.surveys.iter().peekable();
+    let mut surveyed = 0;
+    let mut pixel_rays = preset.mix.pixel_rays;
     let mut error = None;
     let start_s = control.seconds();
     let steps = step_count(preset, sampler.pixel_count());
@@ -59,10 +60,12 @@ pub(super) fn fit(
         if done >= 1.0 {
             break;
         }
-        if surveys.next_if(|at| done >= **at).is_some() {
+        if preset.surveys.due(step, done) > surveyed {
+            surveyed += 1;
             run.warnings.extend(refine(&mut trainer, preset, allowed));
         }
         let mix = RayMix {
+            pixel_rays,
             solid_teaches_sky: done >= preset.solid_sky_from,
             ..preset.mix
         };
@@ -82,6 +85,7 @@ pub(super) fn fit(
         }
         losses.depth_trim_m = quantile(&sums.range_errors_m, DEPTH_TRIM_QUANTILE);
         run.rays += rays.len() as u64;
+        pixel_rays = affordable_rays(preset, sums.colored, rays.len() as u64);
         let progress = Progress {
             stage: Stage::Train,
             step: step + 1,
@@ -122,6 +126,16 @@ const LEAST_STEPS: f64 = 100.0;
 fn step_count(preset: &TrainPreset, pixels: u64) -> u64 {
     let enough = preset.most_passes * pixels as f64 / preset.mix.pixel_rays as f64;
     preset.steps.min(enough.max(LEAST_STEPS).ceil() as u64)
+}
+
+/// Fewer rays than this are too noisy a step.
+const LEAST_RAYS: u64 = 512;
+
+/// Rays of the next step, from the coloured samples of the last.
+fn affordable_rays(preset: &TrainPreset, colored: u64, rays: u64) -> usize {
+    let most = preset.mix.pixel_rays as u64;
+    let rays = (preset.most_colored.saturating_mul(rays) / colored.max(1)).max(LEAST_RAYS);
+    rays.min(most) as usize
 }
 
 /// Exponential decay, as DVGO's.

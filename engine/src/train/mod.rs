@@ -26,5 +26,5 @@ pub use bounded::{seen_box, train_bounded};
 pub use control::{NoControl, Progress, Stage, TrainControl};
 pub use input::{BackgroundInput, BoundedInput, ObjectInput, Trained};
 pub use object::{padded_half_m, train_object};
-pub use preset::{Budget, TrainPreset};
+pub use preset::{Budget, Surveys, TrainPreset};
 pub use sampler::RayMix;

@@ -12,6 +12,25 @@ pub enum Budget {
     Paper,
 }
 
+/// The moments of a run at which occupancy is surveyed.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Surveys {
+    /// Fractions of the run.
+    AtFractions(Vec<f64>),
+    /// Numbers of steps: growth does not wait for a run that is long.
+    AtSteps(Vec<u64>),
+}
+
+impl Surveys {
+    /// How many of them are due by this step and fraction of the run.
+    pub fn due(&self, step: u64, done: f64) -> usize {
+        match self {
+            Self::AtFractions(at) => at.iter().filter(|at| done >= **at).count(),
+            Self::AtSteps(at) => at.iter().filter(|at| step >= **at).count(),
+        }
+    }
+}
+
 /// Every setting of a training run. Fields are public so that an experiment can change one.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TrainPreset {
@@ -42,12 +61,15 @@ pub struct TrainPreset {
     /// What is left of them at the last step.
     pub rate_decay: f32,
     pub mix: RayMix,
+    /// Steps take fewer rays while rays have so many coloured samples that they would exceed this number: the first steps, in
+    /// still open space, then cost no more than later ones.
+    pub most_colored: u64,
     /// Fraction of the run from which pixels that are not sky teach the sky map. The map learns faster than density does, and
     /// would explain a near bridge, blurred by its parallax, before any voxel could.
     pub solid_sky_from: f64,
     pub losses: RayLosses,
-    /// Fractions of the run at which occupancy is surveyed and finer bricks are stored where something is.
-    pub surveys: Vec<f64>,
+    /// When occupancy is surveyed and finer bricks are stored where something is.
+    pub surveys: Surveys,
     /// Opacity over one finest voxel from which a cell counts as occupied.
     pub survey_alpha: f32,
 }
@@ -94,6 +116,7 @@ impl TrainPreset {
                 depth_margin_m: 2.0,
                 solid_teaches_sky: true,
             },
+            most_colored: u64::MAX,
             solid_sky_from: 0.5,
             losses: RayLosses {
                 sample_color: 0.05,
@@ -103,7 +126,7 @@ impl TrainPreset {
                 min_weight: 3e-3,
                 depth_trim_m: f32::INFINITY,
             },
-            surveys: vec![0.1, 0.25, 0.5],
+            surveys: Surveys::AtFractions(vec![0.1, 0.25, 0.5]),
             survey_alpha: 5e-3,
         }
     }
@@ -116,7 +139,7 @@ impl TrainPreset {
             voxels_m: vec![8.0 * finest, 2.0 * finest, finest],
             level_reach_m: vec![f32::INFINITY; 3],
             box_reach_m: 0.0,
-            alpha_init: 1e-3,
+            alpha_init: 3e-3,
             seed_sigma: 0.0,
             mlp_width: 32,
             step_growth: 0.0,
@@ -132,7 +155,7 @@ impl TrainPreset {
             },
             rate_decay: 0.1,
             mix: RayMix {
-                pixel_rays: 4_096,
+                pixel_rays: 2_048,
                 depth_rays: 0,
                 color_weight: 1.0,
                 depth_weight: 0.0,
@@ -143,6 +166,7 @@ impl TrainPreset {
                 depth_margin_m: 0.0,
                 solid_teaches_sky: true,
             },
+            most_colored: 24_576,
             solid_sky_from: 0.0,
             losses: RayLosses {
                 sample_color: 0.01,
@@ -152,8 +176,8 @@ impl TrainPreset {
                 min_weight: 3e-3,
                 depth_trim_m: f32::INFINITY,
             },
-            surveys: vec![0.005, 0.02, 0.05, 0.1, 0.2, 0.4],
-            survey_alpha: 5e-3,
+            surveys: Surveys::AtSteps(vec![64, 128, 256, 512, 1024, 2048, 4096]),
+            survey_alpha: 1e-2,
         }
     }
 
@@ -194,6 +218,7 @@ impl TrainPreset {
                 depth_margin_m: 0.5,
                 solid_teaches_sky: true,
             },
+            most_colored: u64::MAX,
             solid_sky_from: 0.0,
             losses: RayLosses {
                 sample_color: 0.05,
@@ -203,7 +228,7 @@ impl TrainPreset {
                 min_weight: 3e-3,
                 depth_trim_m: f32::INFINITY,
             },
-            surveys: vec![0.15, 0.4, 0.7],
+            surveys: Surveys::AtFractions(vec![0.15, 0.4, 0.7]),
             survey_alpha: 5e-3,
         }
     }

@@ -5,6 +5,7 @@
 //! The ray's colour is `sum w_i c_i + T_end c_behind` and its range `sum w_i t_i + T_end t_behind`.
 
 use crate::field::RaySample;
+use crate::field::transcendental::exp_m1;
 
 /// What reaches the end of a ray.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -16,15 +17,18 @@ pub struct Weights {
 }
 
 /// Writes the weight of every sample to `out` (same length).
-#[inline]
+#[inline(always)]
 pub fn weights(samples: &[RaySample], out: &mut [f32]) -> Weights {
     assert_eq!(samples.len(), out.len(), "one weight per sample");
+    // Opacities on their own first: that loop vectorises, and only the product is sequential.
+    for (sample, alpha) in samples.iter().zip(out.iter_mut()) {
+        *alpha = -exp_m1(-(sample.sigma * sample.dt));
+    }
     let (mut transmittance, mut tau) = (1.0f32, 0.0f32);
     for (sample, weight) in samples.iter().zip(out) {
-        let depth = sample.sigma * sample.dt;
-        *weight = transmittance * -(-depth).exp_m1();
+        *weight *= transmittance;
         transmittance -= *weight;
-        tau += depth;
+        tau += sample.sigma * sample.dt;
     }
     Weights {
         transmittance: transmittance.max(0.0),

@@ -3,9 +3,10 @@
 use glam::Vec3;
 
 use super::lanes::Lanes;
-use super::mlp::{MlpBatch, PADDED_FEATURES, TransposedWeights};
+use super::mlp::{MlpBatch, TransposedWeights};
 use super::simd::{Simd, dispatch};
-use crate::field::lattice::{BRICK_NODES, Corners, FEATURES, NULL_BRICK};
+use crate::field::march::march_generic;
+use crate::field::probe::{GROUP, Places, Positions, gather_features};
 use crate::field::{Field, MarchRange, RaySample, encode_view};
 use crate::train::ray::{RayLosses, StepSums, TrainRay};
 use crate::volume;
@@ -68,11 +69,12 @@ impl Chunk {
         self.clear(setting.field.levels.len());
         march(setting.simd, self, setting.field, rays);
         self.composite(setting, rays);
-        gather(setting.simd, self, setting.field);
+        let (positions, rows) = (&self.positions, &mut self.batch.features);
+        gather_features(setting.simd, setting.field, positions, rows);
         self.batch.forward(&setting.field.mlp, setting.simd);
         self.differentiate(setting, rays);
         self.batch.backward(setting.transposed, setting.simd);
-        self.find_bricks(setting.field);
+        find_bricks(setting.simd, self, setting.field);
     }
 
     fn clear(&mut self, levels: usize) {
@@ -122,45 +124,13 @@ impl Chunk {
         self.sums.samples = self.samples.len() as u64;
         self.sums.colored = self.positions.len() as u64;
     }
-
-    /// Lists, per level, the bricks whose nodes each point's gradient goes to.
-    fn find_bricks(&mut self, field: &Field) {
-        assert!(
-            self.points.len() <= MAX_POINTS,
-            "a chunk's points are numbered in 16 bits"
-        );
-        for (level, touched) in field.levels.iter().zip(&mut self.touched) {
-            for (number, point) in self.points.iter().enumerate() {
-                let Some(corners) = level.corners(point.position) else {
-                    continue;
-                };
-                let first = corners.nodes[0] / BRICK_NODES as u32;
-                let last = corners.nodes[7] / BRICK_NODES as u32;
-                if first == last && first != NULL_BRICK {
-                    touched.push((first, number as u32));
-                } else {
-                    add_each_brick(&corners, number as u32, touched);
-                }
-            }
-        }
-    }
 }
 
-/// Corners 0 and 7 differ in every axis that crosses a brick's face, so only then are the other six looked at.
-fn add_each_brick(corners: &Corners, point: u32, touched: &mut Vec<(u32, u32)>) {
-    let bricks = corners.nodes.map(|node| node / BRICK_NODES as u32);
-    for (corner, brick) in bricks.iter().enumerate() {
-        if *brick != NULL_BRICK && !bricks[..corner].contains(brick) {
-            touched.push((*brick, point));
-        }
-    }
-}
-
-dispatch!(fn march => march_generic(chunk: &mut Chunk, field: &Field, rays: &[TrainRay]));
-dispatch!(fn gather => gather_generic(chunk: &mut Chunk, field: &Field));
+dispatch!(fn march => march_all(chunk: &mut Chunk, field: &Field, rays: &[TrainRay]));
+dispatch!(fn find_bricks => find_bricks_generic(chunk: &mut Chunk, field: &Field));
 
 #[inline(always)]
-fn march_generic<L: Lanes, const R: usize, const V: usize>(
+fn march_all<L: Lanes, const R: usize, const V: usize>(
     chunk: &mut Chunk,
     field: &Field,
     rays: &[TrainRay],
@@ -174,21 +144,32 @@ fn march_generic<L: Lanes, const R: usize, const V: usize>(
             stop_tau: STOP_TAU,
             phase: ray.phase,
         };
-        field.march_ray(ray.ray, range, &mut chunk.samples);
+        let mut tau = 0.0;
+        march_generic::<L, R, V>(field, ray.ray, range, &mut chunk.samples, &mut tau);
         chunk.samples.truncate(start + most);
         chunk.ray_ends.push(chunk.samples.len() as u32);
     }
 }
 
+/// Lists, per level, the bricks whose nodes each point's gradient goes to.
 #[inline(always)]
-fn gather_generic<L: Lanes, const R: usize, const V: usize>(chunk: &mut Chunk, field: &Field) {
-    let out = &mut chunk.batch.features;
-    out.resize(chunk.positions.len() * PADDED_FEATURES, 0.0);
-    for (p, out) in chunk
-        .positions
-        .iter()
-        .zip(out.chunks_exact_mut(PADDED_FEATURES))
-    {
-        out[..FEATURES].copy_from_slice(&field.features(*p));
+fn find_bricks_generic<L: Lanes, const R: usize, const V: usize>(chunk: &mut Chunk, field: &Field) {
+    assert!(
+        chunk.points.len() <= MAX_POINTS,
+        "a chunk's points are numbered in 16 bits"
+    );
+    for (number, points) in chunk.points.chunks(GROUP).enumerate() {
+        let mut at = Positions::ZERO;
+        for (i, point) in points.iter().enumerate() {
+            at.set(i, point.position);
+        }
+        for (level, touched) in field.levels.iter().zip(&mut chunk.touched) {
+            let places = Places::of(level, &at);
+            for i in 0..points.len() {
+                let (bricks, count) = places.bricks(i, level.index());
+                let point = (number * GROUP + i) as u32;
+                touched.extend(bricks[..count].iter().map(|brick| (*brick, point)));
+            }
+        }
     }
 }

@@ -6,7 +6,7 @@
 /// A register of f32 lanes.
 ///
 /// Methods are compiled into their caller and must only run where the register's instructions exist; [`super::Simd`] sees to it.
-pub(super) trait Lanes: Copy {
+pub(crate) trait Lanes: Copy {
     const WIDTH: usize;
 
     fn splat(x: f32) -> Self;
@@ -25,7 +25,7 @@ pub(super) trait Lanes: Copy {
 
 /// Four lanes with separate multiplication and addition: every target's baseline.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Lanes4([f32; 4]);
+pub(crate) struct Lanes4([f32; 4]);
 
 impl Lanes for Lanes4 {
     const WIDTH: usize = 4;
@@ -69,7 +69,7 @@ impl Lanes for Lanes4 {
 }
 
 #[cfg(target_arch = "x86_64")]
-pub(super) use x86::{Lanes8, Lanes16};
+pub(crate) use x86::{Lanes8, Lanes16};
 
 #[cfg(target_arch = "x86_64")]
 mod x86 {
@@ -83,11 +83,11 @@ mod x86 {
 
     /// Eight lanes: AVX2 and FMA.
     #[derive(Clone, Copy, Debug)]
-    pub(in super::super) struct Lanes8(__m256);
+    pub(crate) struct Lanes8(__m256);
 
     /// Sixteen lanes: AVX-512 F.
     #[derive(Clone, Copy, Debug)]
-    pub(in super::super) struct Lanes16(__m512);
+    pub(crate) struct Lanes16(__m512);
 
     macro_rules! lanes {
         ($name:ident, $width:literal, $set:ident, $load:ident, $store:ident, $fma:ident, $max:ident) => {

@@ -5,13 +5,13 @@
 
 mod adam;
 mod chunk;
-mod lanes;
+pub(crate) mod lanes;
 mod march;
 mod matmul;
 pub(crate) mod mlp;
 mod ray_losses;
 mod scatter;
-mod simd;
+pub(crate) mod simd;
 #[cfg(test)]
 mod tests;
 mod trainer;

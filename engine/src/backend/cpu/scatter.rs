@@ -77,9 +77,10 @@ impl LevelOptimizer {
             .zip(self.density_square.par_chunks_exact_mut(BRICK_NODES))
             .zip(self.features_square.par_chunks_exact_mut(BRICK_NODES))
             .enumerate()
-            .with_min_len(16)
-            .for_each(
-                |(brick, (((density, features), density_square), features_square))| {
+            .with_min_len(BRICKS_PER_TASK)
+            .for_each_init(
+                Sums::default,
+                |sums, (brick, (((density, features), density_square), features_square))| {
                     let points = bins.of(brick);
                     if !points.is_empty() {
                         let mut owned = OwnedBrick {
@@ -91,7 +92,7 @@ impl LevelOptimizer {
                             density_square,
                             features_square,
                         };
-                        step_brick(simd, &mut owned, points, chunks, rates);
+                        step_brick(simd, &mut owned, points, chunks, rates, sums);
                     }
                 },
             );
@@ -126,6 +127,26 @@ impl Bins {
     fn of(&self, brick: usize) -> &[u32] {
         let start = if brick == 0 { 0 } else { self.ends[brick - 1] };
         &self.points[start as usize..self.ends[brick] as usize]
+    }
+}
+
+/// Bricks that a thread takes at a time: enough that fresh sums, 34 kB, cost little.
+const BRICKS_PER_TASK: usize = 128;
+
+/// Gradient sums of one brick, all 0 between bricks: clearing the few nodes that were touched is cheaper than all.
+#[derive(Debug)]
+struct Sums {
+    density: Box<[f32; BRICK_NODES]>,
+    /// Padded, so that a row is whole registers.
+    features: Box<[[f32; PADDED_FEATURES]; BRICK_NODES]>,
+}
+
+impl Default for Sums {
+    fn default() -> Self {
+        Self {
+            density: Box::new([0.0; BRICK_NODES]),
+            features: Box::new([[0.0; PADDED_FEATURES]; BRICK_NODES]),
+        }
     }
 }
 
@@ -167,6 +188,7 @@ dispatch!(fn step_brick => step_brick_generic(
     points: &[u32],
     chunks: &[Chunk],
     rates: Rates,
+    sums: &mut Sums,
 ));
 
 #[inline(always)]
@@ -175,38 +197,49 @@ fn step_brick_generic<L: Lanes, const R: usize, const V: usize>(
     points: &[u32],
     chunks: &[Chunk],
     rates: Rates,
+    sums: &mut Sums,
 ) {
-    let mut density = [0.0f32; BRICK_NODES];
-    let mut features = [[0.0f32; FEATURES]; BRICK_NODES];
+    let Sums { density, features } = sums;
     let mut touched = [0u64; BRICK_NODES / 64];
     let mut colored = [0u64; BRICK_NODES / 64];
     for pair in points {
         let chunk = &chunks[(pair >> 16) as usize];
         let point = &chunk.points[(pair & 0xffff) as usize];
-        let gradient: Option<&[f32; FEATURES]> = (point.slot != NO_SLOT).then(|| {
+        let gradient = (point.slot != NO_SLOT).then(|| {
             let row = &chunk.batch.feature_gradients[point.slot as usize * PADDED_FEATURES..];
-            row.first_chunk().expect("a row holds all features")
+            &row[..PADDED_FEATURES]
         });
         owned.for_each_corner(point.position, |node, weight| {
             touched[node / 64] |= 1 << (node % 64);
             density[node] += weight * point.raw;
             if let Some(gradient) = gradient {
                 colored[node / 64] |= 1 << (node % 64);
-                let sum = &mut features[node];
-                (0..FEATURES).for_each(|f| sum[f] += weight * gradient[f]);
+                add_scaled::<L>(weight, gradient, &mut features[node]);
             }
         });
     }
     for node in set_bits(&touched) {
-        let gradient = density[node];
+        let gradient = std::mem::take(&mut density[node]);
         let root = mean_square_root(&mut owned.density_square[node], gradient * gradient);
         owned.density[node] -= rates.density * gradient / root;
     }
     for node in set_bits(&colored) {
-        let gradient = features[node];
+        let gradient = std::mem::take(&mut features[node]);
+        // The padding's gradients are 0.
         let square = gradient.iter().map(|g| g * g).sum::<f32>() / FEATURES as f32;
         let rate = rates.features / mean_square_root(&mut owned.features_square[node], square);
         (0..FEATURES).for_each(|f| owned.features[node][f] -= rate * gradient[f]);
+    }
+}
+
+#[inline(always)]
+fn add_scaled<L: Lanes>(scale: f32, row: &[f32], sum: &mut [f32; PADDED_FEATURES]) {
+    let scale = L::splat(scale);
+    for at in (0..PADDED_FEATURES).step_by(L::WIDTH) {
+        let sum = &mut sum[at..];
+        scale
+            .multiply_add(L::load(&row[at..]), L::load(sum))
+            .store(sum);
     }
 }
 
