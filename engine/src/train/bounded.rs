@@ -67,7 +67,7 @@ fn sees(view: &TrainView, p: DVec3) -> bool {
 }
 
 /// The point with the least sum of squared distances to the optical axes.
-fn nearest_to_axes(views: &[&TrainView]) -> DVec3 {
+pub(super) fn nearest_to_axes(views: &[&TrainView]) -> DVec3 {
     let (mut a, mut b) = (DMat3::ZERO, DVec3::ZERO);
     for view in views {
         let axis = view.local_from_camera.direction(DVec3::Z);

@@ -6,6 +6,7 @@
 mod background;
 mod bounded;
 mod control;
+pub mod dvgo;
 mod evaluate;
 mod fit;
 mod free_space;
@@ -24,6 +25,7 @@ mod validate;
 pub use background::train_background;
 pub use bounded::{seen_box, train_bounded};
 pub use control::{NoControl, Progress, Stage, TrainControl};
+pub use dvgo::{DvgoRecipe, frustum_box, train_dvgo};
 pub use input::{BackgroundInput, BoundedInput, ObjectInput, Trained};
 pub use object::{padded_half_m, train_object};
 pub use preset::{Budget, Surveys, TrainPreset};

@@ -10,14 +10,14 @@ const EPSILON: f32 = 1e-8;
 
 /// Adam over one parameter array.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Adam {
+pub(crate) struct Adam {
     mean: Vec<f32>,
     square: Vec<f32>,
     steps: i32,
 }
 
 impl Adam {
-    pub(super) fn step(&mut self, parameters: &mut [f32], gradients: &[f32], rate: f32) {
+    pub(crate) fn step(&mut self, parameters: &mut [f32], gradients: &[f32], rate: f32) {
         self.mean.resize(parameters.len(), 0.0);
         self.square.resize(parameters.len(), 0.0);
         self.steps += 1;

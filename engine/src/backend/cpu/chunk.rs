@@ -14,7 +14,7 @@ use crate::volume;
 /// Optical depth at which a ray ends: transmittance 1e-3, as in DVGO.
 const STOP_TAU: f32 = 6.9;
 /// A sample without colour.
-pub(super) const NO_SLOT: u32 = u32::MAX;
+pub(crate) const NO_SLOT: u32 = u32::MAX;
 /// Points of a chunk are numbered in 16 bits where gradients are sorted.
 const MAX_POINTS: usize = 1 << 16;
 

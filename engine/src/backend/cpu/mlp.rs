@@ -16,7 +16,7 @@ pub(crate) const PADDED_FEATURES: usize = 16;
 
 /// Transposed copies of the weights, which the backward pass reads.
 #[derive(Clone, Debug)]
-pub(super) struct TransposedWeights {
+pub(crate) struct TransposedWeights {
     layout: MlpLayout,
     /// Rows of W1 that belong to features, transposed: `[width][16]`.
     w1_transposed: Vec<f32>,
@@ -49,7 +49,7 @@ pub(crate) struct MlpBatch {
 }
 
 impl TransposedWeights {
-    pub(super) fn new(mlp: &ColorMlp) -> Self {
+    pub(crate) fn new(mlp: &ColorMlp) -> Self {
         let mut weights = Self {
             layout: mlp.layout(),
             w1_transposed: Vec::new(),
@@ -61,7 +61,7 @@ impl TransposedWeights {
     }
 
     /// Copies changed parameters.
-    pub(super) fn update(&mut self, mlp: &ColorMlp) {
+    pub(crate) fn update(&mut self, mlp: &ColorMlp) {
         let (width, layout, p) = (mlp.width(), mlp.layout(), mlp.parameters());
         let w1 = &p[layout.w1()][..FEATURES * width];
         transpose(w1, width, PADDED_FEATURES, &mut self.w1_transposed);
@@ -103,7 +103,7 @@ impl MlpBatch {
     }
 
     /// From `color_gradients`, computes `feature_gradients` and adds to `parameter_gradients`. Needs the activations of [`Self::forward`].
-    pub(super) fn backward(&mut self, weights: &TransposedWeights, simd: Simd) {
+    pub(crate) fn backward(&mut self, weights: &TransposedWeights, simd: Simd) {
         backward(simd, weights, self);
     }
 }

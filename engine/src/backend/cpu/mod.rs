@@ -3,12 +3,14 @@
 //! Marching is plain scalar code that the compiler neither reorders nor fuses, so its results are the same on every machine.
 //! Training and colours run vector code chosen at run time ([`Simd`]), with rayon over chunks of rays and over bricks.
 
-mod adam;
+pub(crate) mod adam;
+pub(crate) mod bf16;
 mod chunk;
 pub(crate) mod lanes;
 mod march;
 mod matmul;
 pub(crate) mod mlp;
+pub(crate) mod prefetch;
 mod ray_losses;
 mod scatter;
 pub(crate) mod simd;
@@ -16,6 +18,7 @@ pub(crate) mod simd;
 mod tests;
 mod trainer;
 
+pub(crate) use chunk::NO_SLOT;
 pub use simd::Simd;
 pub use trainer::CpuTrainer;
 

@@ -52,8 +52,32 @@ fn detect() -> Simd {
 
 /// Defines `$name(simd, args...)`, which calls the generic `$body::<L, ROWS, VECTORS>` compiled for the path `simd`.
 ///
+/// With `fn $name<const C>`, the body and the arguments' types have C after the three.
 /// L is the path's register; ROWS x VECTORS of them are the tile of the matrix kernels, leaving some for operands.
 macro_rules! dispatch {
+    ($vis:vis fn $name:ident<const $c:ident> => $body:ident($($arg:ident: $ty:ty),* $(,)?)) => {
+        $vis fn $name<const $c: usize>(simd: $crate::backend::cpu::Simd, $($arg: $ty),*) {
+            #[cfg(target_arch = "x86_64")]
+            #[target_feature(enable = "avx512f,avx512vl,avx512dq,avx512bw,avx2,fma")]
+            fn avx512<const $c: usize>($($arg: $ty),*) {
+                $body::<$crate::backend::cpu::lanes::Lanes16, 6, 4, $c>($($arg),*);
+            }
+            #[cfg(target_arch = "x86_64")]
+            #[target_feature(enable = "avx2,fma")]
+            fn avx2<const $c: usize>($($arg: $ty),*) {
+                $body::<$crate::backend::cpu::lanes::Lanes8, 6, 2, $c>($($arg),*);
+            }
+            match simd {
+                // SAFETY: `Simd::detect` names a path only where the machine has its features.
+                #[cfg(target_arch = "x86_64")]
+                $crate::backend::cpu::Simd::Avx512 => unsafe { avx512($($arg),*) },
+                // SAFETY: as above.
+                #[cfg(target_arch = "x86_64")]
+                $crate::backend::cpu::Simd::Avx2 => unsafe { avx2($($arg),*) },
+                _ => $body::<$crate::backend::cpu::lanes::Lanes4, 4, 2, $c>($($arg),*),
+            }
+        }
+    };
     ($(#[$meta:meta])* $vis:vis fn $name:ident => $body:ident($($arg:ident: $ty:ty),* $(,)?)) => {
         $(#[$meta])*
         $vis fn $name(simd: $crate::backend::cpu::Simd, $($arg: $ty),*) {
