@@ -120,6 +120,14 @@ impl PlacedObject {
     }
 }
 
+/// An original mover that a sample does not show.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LeftOut {
+    pub occupied: Occupied,
+    /// Index into the library of its own asset, if it has one: its shape tells which pixels it hid.
+    pub asset: Option<usize>,
+}
+
 /// What to render.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Composition {
@@ -130,8 +138,8 @@ pub struct Composition {
     pub local_from_camera: Rigid,
     pub local_from_ego: Rigid,
     pub objects: Vec<PlacedObject>,
-    /// Movers left out although the recorded image had them: what they hid was never seen at that time.
-    pub left_out: Vec<Occupied>,
+    /// Movers left out although the recorded image had them: what they hid was not seen at that time.
+    pub left_out: Vec<LeftOut>,
     /// Rejected attempts by [`Rejection::name`].
     pub rejections: BTreeMap<String, u32>,
     pub insert_shadows: bool,
@@ -298,7 +306,10 @@ fn place_originals(composition: &mut Composition, placer: &mut Placer<'_>, seed:
             asset.source_log == stage.source_log && asset.source_track_id == track.track_id
         });
         if recipe.drop_originals {
-            composition.left_out.push(original);
+            composition.left_out.push(LeftOut {
+                occupied: original,
+                asset: object.asset,
+            });
             placer.originals.pop();
             continue;
         }
@@ -351,8 +362,11 @@ fn replace_originals(
             o.track_id == object.track_id && matches!(o.origin, Origin::Replayed | Origin::Recorded)
         };
         if let Some(at) = composition.objects.iter().position(is_original) {
-            composition.objects.remove(at);
-            composition.left_out.push(original);
+            let asset = composition.objects.remove(at).asset;
+            composition.left_out.push(LeftOut {
+                occupied: original,
+                asset,
+            });
         }
         placer.originals.retain(|(track, _)| *track != i);
         placer.accept(object, &mut composition.objects);

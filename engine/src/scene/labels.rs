@@ -3,9 +3,9 @@
 use glam::DVec2;
 
 use super::composition::{Composition, PlacedObject};
+use super::frame::RenderedFrame;
 use super::lidar::count_returns;
 use super::projection::{PixelBox, amodal_box};
-use super::render::RenderedFrame;
 use super::valid_region::ValidRegion;
 use crate::camera::Rigid;
 

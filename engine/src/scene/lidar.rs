@@ -5,7 +5,7 @@ use std::f64::consts::PI;
 use glam::{DVec2, DVec3};
 
 use super::composition::Composition;
-use super::render::RenderedFrame;
+use super::frame::RenderedFrame;
 use super::valid_region::ValidRegion;
 
 /// Velodyne HDL-64E: 64 beams from +2 to -24.8 degrees, 0.2 degrees apart in azimuth at 10 Hz.

@@ -24,21 +24,30 @@ mod recipe;
 mod rejection;
 mod sight;
 
+mod frame;
 mod merge;
 mod render;
 mod shadow;
 mod tile;
 
+mod fill;
+mod finish;
 mod hull;
-mod ignore;
+mod patches;
+mod recorded;
+mod seen;
+mod silhouette;
+mod tone;
+
 mod labels;
 mod lidar;
-mod recorded;
 
 #[cfg(test)]
 mod box_world;
 #[cfg(test)]
 mod composition_tests;
+#[cfg(test)]
+mod finish_tests;
 #[cfg(test)]
 mod region_tests;
 #[cfg(test)]
@@ -47,19 +56,23 @@ mod render_tests;
 mod solid_field;
 
 pub use collision::{Occupied, intersection_area_m2};
-pub use composition::{ATTEMPTS, Candidate, Composition, Origin, PlacedObject, Stage, compose};
+pub use composition::{
+    ATTEMPTS, Candidate, Composition, LeftOut, Origin, PlacedObject, Stage, compose,
+};
 pub use density::{DensityField, HALF_TAU};
+pub use finish::{Finished, finish};
 pub use footprint::{Footprint, GroundPlane};
-pub use ignore::ignore_mask;
+pub use frame::RenderedFrame;
 pub use labels::{FrameLabel, label};
 pub use merge::{Merged, composite, merge};
 pub use projection::{PixelBox, amodal_box, corners};
 pub use random::Draws;
 pub use recipe::{Jitter, MAX_OBJECTS, MAX_SIDE_PX, PlacementPreset, Recipe};
-pub use recorded::{RecordedImage, needs_recorded, replay_recorded};
+pub use recorded::{RecordedImage, needs_recorded};
 pub use recording::{RecordedCamera, RecordedFrame, RecordedTrack, Recording};
 pub use region_builder::RegionConfig;
 pub use rejection::Rejection;
-pub use render::{RenderOptions, RenderedFrame, Scene, SceneObject, StaticObject, render};
-pub use shadow::{cast_shadows, shadow_casters};
+pub use render::{RenderOptions, Scene, SceneObject, StaticObject, render};
+pub use shadow::{Caster, cast_shadows, shadow_casters};
+pub use tone::{Tone, match_tones};
 pub use valid_region::{Cell, NO_GROUND, Unsupported, ValidRegion};

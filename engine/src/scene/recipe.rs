@@ -45,6 +45,8 @@ pub struct Recipe {
     /// Leaves original movers out instead of replaying them.
     pub drop_originals: bool,
     pub insert_shadows: bool,
+    /// Matches the light of objects from other logs to the recorded frame.
+    pub match_tones: bool,
     /// Longer side of the image in pixels; 0 means as recorded.
     pub longer_side_px: u32,
     /// Slack beyond the observed views.
@@ -96,6 +98,7 @@ impl Recipe {
             replace_probability: 0.0,
             drop_originals: false,
             insert_shadows: false,
+            match_tones: true,
             longer_side_px: 0,
             coverage_slack_rad: COVERAGE_SLACK_DEG * degrees,
             camera_id: String::new(),

@@ -1,14 +1,15 @@
 //! Renders a scene in one volume pass: background, objects and sky on common samples.
 
-use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use glam::{DVec2, DVec3, Vec3};
 use rayon::prelude::*;
 
 use super::composition::{Composition, Origin};
+use super::frame::RenderedFrame;
 use super::projection::{PixelBox, box_of_corners};
 use super::tile::{TILE_PX, TileRenderer, TileResult};
+use super::tone::Tone;
 use crate::camera::{Camera, Rigid};
 use crate::field::Field;
 use crate::{Error, Result};
@@ -33,6 +34,7 @@ pub struct SceneObject<'a> {
     pub local_from_object: Rigid,
     /// Extents of the annotated cuboid in metres.
     pub size_m: DVec3,
+    pub tone: Tone,
 }
 
 /// A cuboid of the background.
@@ -70,6 +72,7 @@ impl<'a> Scene<'a> {
                         .ok_or_else(|| Error::invalid(format!("asset {asset} is not loaded")))?,
                     local_from_object: object.local_from_object,
                     size_m: object.size_m,
+                    tone: Tone::IDENTITY,
                 }),
                 None => {
                     assert_eq!(object.origin, Origin::Static, "only statics have no asset");
@@ -82,6 +85,14 @@ impl<'a> Scene<'a> {
             }
         }
         Ok(scene)
+    }
+
+    /// Gives the named instances their tones.
+    pub fn set_tones(&mut self, tones: &[(u16, Tone)]) {
+        for object in &mut self.objects {
+            let own = tones.iter().find(|(id, _)| *id == object.instance_id);
+            object.tone = own.map_or(object.tone, |(_, tone)| *tone);
+        }
     }
 }
 
@@ -101,26 +112,6 @@ impl Default for RenderOptions {
             object_supersample: 2,
         }
     }
-}
-
-/// A rendered image with its geometry; everything row-major, `height * width`.
-#[derive(Clone, Debug, PartialEq)]
-pub struct RenderedFrame {
-    pub width: u32,
-    pub height: u32,
-    /// sRGB, three bytes a pixel.
-    pub rgb8: Vec<u8>,
-    /// Camera z in metres of the surface at which half of the light is gone; 0 where more than half is left.
-    pub depth_z_m: Vec<f32>,
-    /// Instance of each pixel, 0 for background and sky. An inserted object owns a pixel if all inserted objects together carry at
-    /// least half of its weight and it carries most of theirs; a static one if the pixel's surface lies in its cuboid.
-    pub instance: Vec<u16>,
-    /// 1 - transmittance of everything but the sky.
-    pub accumulation: Vec<f32>,
-    /// (instance id, pixels it would have alone in the scene) in the scene's order: objects, then statics.
-    pub alone_px: Vec<(u16, u32)>,
-    /// Pixels an object would have alone, by (object, instance that owns them instead; 0 for the background).
-    pub hidden_px: BTreeMap<(u16, u16), u32>,
 }
 
 /// Renders a scene on rayon's threads.
@@ -190,6 +181,7 @@ pub(super) struct PreparedObject<'a> {
     pub(super) field: &'a Field,
     pub(super) object_from_local: Rigid,
     pub(super) half_m: Vec3,
+    pub(super) tone: Tone,
     /// Pixels that may see the field.
     pub(super) pixels: PixelBox,
     pub(super) supersample: u32,
@@ -235,6 +227,7 @@ impl<'a> Prepared<'a> {
                 field: object.field,
                 object_from_local: object.local_from_object.inverse(),
                 half_m: (object.size_m * 0.5).as_vec3(),
+                tone: object.tone,
                 pixels: pixels_of(
                     &scene.camera,
                     &camera_from_object,
@@ -294,17 +287,7 @@ fn pixels_of(camera: &Camera, camera_from_box: &Rigid, low: DVec3, high: DVec3) 
 
 fn assemble(prepared: &Prepared<'_>, tiles: Vec<TileResult>) -> RenderedFrame {
     let (width, height) = (prepared.camera.width, prepared.camera.height);
-    let count = prepared.camera.pixel_count();
-    let mut frame = RenderedFrame {
-        width,
-        height,
-        rgb8: vec![0; 3 * count],
-        depth_z_m: vec![0.0; count],
-        instance: vec![0; count],
-        accumulation: vec![0.0; count],
-        alone_px: Vec::new(),
-        hidden_px: BTreeMap::new(),
-    };
+    let mut frame = RenderedFrame::empty(width, height);
     let mut alone = vec![0u32; prepared.objects.len() + prepared.statics.len()];
     for tile in tiles {
         for (total, own) in alone.iter_mut().zip(&tile.alone_px) {
@@ -319,8 +302,9 @@ fn assemble(prepared: &Prepared<'_>, tiles: Vec<TileResult>) -> RenderedFrame {
                 tile.y + i as u32 / tile.width,
             );
             let at = (y * width + x) as usize;
-            frame.rgb8[3 * at..3 * at + 3].copy_from_slice(&pixel.rgb.map(to_byte));
+            frame.set_layers(at, pixel.behind_rgb, pixel.placed_rgb, pixel.placed_alpha);
             frame.depth_z_m[at] = pixel.depth_z_m;
+            frame.behind_z_m[at] = pixel.behind_z_m;
             frame.instance[at] = pixel.instance;
             frame.accumulation[at] = pixel.accumulation;
         }
@@ -338,8 +322,4 @@ fn assemble(prepared: &Prepared<'_>, tiles: Vec<TileResult>) -> RenderedFrame {
         .alone_px
         .extend(statics.map(|(object, px)| (object.instance_id, *px)));
     frame
-}
-
-fn to_byte(value: f32) -> u8 {
-    (value.clamp(0.0, 1.0) * 255.0).round() as u8
 }

@@ -5,11 +5,13 @@ use std::collections::BTreeMap;
 use glam::{DVec2, DVec3, Vec3};
 
 use super::box_world::{camera, forward_from_camera};
-use super::composition::{Composition, Origin, PlacedObject};
+use super::composition::{Composition, LeftOut, Origin, PlacedObject};
+use super::frame::RenderedFrame;
 use super::labels::{FrameLabel, label};
 use super::projection::corners;
-use super::recorded::{RecordedImage, needs_recorded, replay_recorded};
-use super::render::{RenderOptions, RenderedFrame, Scene, render};
+use super::recorded::{RecordedImage, needs_recorded, show_recorded};
+use super::render::{RenderOptions, Scene, render};
+use super::silhouette::silhouette;
 use super::solid_field::solid_field;
 use super::valid_region::ValidRegion;
 use crate::camera::Rigid;
@@ -283,7 +285,7 @@ fn a_recorded_mover_takes_its_pixels_from_the_image_behind_what_stands_nearer() 
         height: 1,
         rgb8: &[7, 200, 9].repeat(2),
     };
-    replay_recorded(&composition, &recorded, &mut frame);
+    let shown = show_recorded(&composition, &recorded, &[false; 160 * 96], &mut frame);
     let labels = labels(&composition, &frame);
     let of = |id: u16| labels.iter().find(|l| l.instance_id == id).unwrap();
     assert!(of(2).visible_fraction > 0.2 && of(2).visible_fraction < 1.0);
@@ -292,9 +294,15 @@ fn a_recorded_mover_takes_its_pixels_from_the_image_behind_what_stands_nearer() 
     for (i, (now, then)) in frame.instance.iter().zip(&before.instance).enumerate() {
         let color = &frame.rgb8[3 * i..3 * i + 3];
         match *now {
-            2 => assert_eq!(color, [7, 200, 9]),
-            1 => assert_eq!(color, &before.rgb8[3 * i..3 * i + 3]),
-            _ => assert!(*then != 1, "the nearer insert keeps its pixels"),
+            2 if frame.placed_alpha[i] == 0.0 => assert_eq!(color, [7, 200, 9]),
+            1 if !frame.shows_behind(i) => assert!(close(color, &before.rgb8[3 * i..3 * i + 3])),
+            _ => assert!(
+                *now == 1 || *then != 1,
+                "the nearer insert keeps its pixels"
+            ),
+        }
+        if shown[i] == 0.0 {
+            assert_eq!(color, &before.rgb8[3 * i..3 * i + 3], "out of reach");
         }
     }
     let owned: u32 = labels.iter().map(|l| l.visible_px).sum();
@@ -317,21 +325,86 @@ fn around_a_replayed_mover_the_recorded_image_shows_and_nothing_placed_changes()
         height: 1,
         rgb8: &[7, 200, 9],
     };
-    replay_recorded(&composition, &recorded, &mut frame);
+    let shown = show_recorded(&composition, &recorded, &[false; 160 * 96], &mut frame);
     assert_eq!(frame.instance, before.instance);
-    let mut shown = 0;
+    let (mut whole, mut part, mut body) = (0, 0, 0);
     for (i, instance) in frame.instance.iter().enumerate() {
         let (now, then) = (
             &frame.rgb8[3 * i..3 * i + 3],
             &before.rgb8[3 * i..3 * i + 3],
         );
-        if now == [7, 200, 9] {
-            assert_eq!(*instance, 0);
-            shown += 1;
+        if *instance == 1 && !frame.shows_behind(i) {
+            assert!(close(now, then), "placed objects stay");
+        } else if shown[i] == 0.0 && *instance != 2 {
+            assert_eq!(now, then, "out of reach");
+        } else if *instance == 0 && shown[i] == 1.0 && frame.placed_alpha[i] == 0.0 {
+            assert_eq!(now, [7, 200, 9]);
+            whole += 1;
         } else {
-            assert_eq!(now, then);
+            part += usize::from(now != then && now != [7, 200, 9]);
+            body += usize::from(*instance == 2 && now == then);
         }
     }
-    let corner = &frame.rgb8[..3];
-    assert!(shown > 100 && corner == &before.rgb8[..3], "{shown}");
+    assert!(whole > 100, "{whole}");
+    assert!(part > 50, "no hard edge anywhere: {part}");
+    assert!(body > 20, "the mover itself is rendered: {body}");
+}
+
+/// Up to a thousandth of what lies behind an object still shows.
+fn close(a: &[u8], b: &[u8]) -> bool {
+    a.iter().zip(b).all(|(a, b)| a.abs_diff(*b) <= 1)
+}
+
+#[test]
+fn left_out_movers_pixels_are_not_shown_again() {
+    let background = background();
+    let mut composition = composition(Vec::new());
+    let mover = placed(1, Origin::Recorded, None, 16.0, 0.0);
+    composition.left_out = vec![LeftOut {
+        occupied: mover.occupied(),
+        asset: None,
+    }];
+    let mut frame = shoot(&background, &[], &composition);
+    let before = frame.clone();
+    let begins = silhouette(
+        &composition.camera,
+        &composition.local_from_camera.inverse(),
+        &mover.occupied(),
+        None,
+    );
+    let hidden: Vec<bool> = begins.iter().map(|z| z.is_finite()).collect();
+    let recorded = RecordedImage {
+        width: 1,
+        height: 1,
+        rgb8: &[7, 200, 9],
+    };
+    let shown = show_recorded(&composition, &recorded, &hidden, &mut frame);
+    assert!(hidden.contains(&true) && shown.contains(&1.0));
+    for i in (0..hidden.len()).filter(|i| hidden[*i]) {
+        assert_eq!(frame.behind_rgb[i], before.behind_rgb[i]);
+        assert_eq!(shown[i], 0.0);
+    }
+}
+
+#[test]
+fn a_model_narrows_a_silhouette_to_what_it_shows() {
+    let composition = composition(Vec::new());
+    let mover = placed(1, Origin::Recorded, None, 14.0, 1.0).occupied();
+    let camera_from_local = composition.local_from_camera.inverse();
+    let (camera, whole) = (&composition.camera, car([0.5; 3], 60.0));
+    // Only the rear half is solid: seen from behind it hides less of the image than the cuboid.
+    let half = (CAR * 0.5).as_vec3();
+    let slim = solid_field(-half - 0.2, half + 0.2, 0.1, [0.5; 3], |p| {
+        let inside = p.abs().cmple(half * Vec3::new(1.0, 0.5, 1.0)).all();
+        if inside { 60.0 } else { 0.0 }
+    });
+    let count = |model: Option<&Field>| {
+        let begins = silhouette(camera, &camera_from_local, &mover, model);
+        begins.iter().filter(|z| z.is_finite()).count()
+    };
+    let (padded, full, slim) = (count(None), count(Some(&whole)), count(Some(&slim)));
+    assert!(slim < full && full <= padded, "{slim} {full} {padded}");
+    assert!(slim * 3 > full, "{slim} {full}");
+    let nothing = car([0.5; 3], 0.0);
+    assert!(count(Some(&nothing)) < full, "wheels only");
 }

@@ -8,7 +8,8 @@ use glam::{DVec2, DVec3};
 use rayon::prelude::*;
 
 use super::composition::{Composition, Origin};
-use super::render::{RenderedFrame, Scene, SceneObject};
+use super::frame::RenderedFrame;
+use super::render::{Scene, SceneObject};
 use crate::field::{Field, RaySample};
 
 /// The sun's part of the light on level ground in the open, from clear-sky irradiance in daylight.
@@ -32,67 +33,78 @@ const SUN_LIFT_M: f64 = 0.7;
 const SUN_RANGE_M: f64 = 40.0;
 const STOP_TAU: f32 = 4.0;
 
+/// An instance that throws a shadow.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Caster {
+    pub instance_id: u16,
+    /// Where the recorded image is shown, a shadow like this one is in it already: the original mover's own.
+    pub recorded: bool,
+}
+
 /// Instances of a composition whose shadows are missing from the background: inserts and replacements if the recipe wants
 /// shadows, and replayed movers where the sun is known, because training then left their shadows out.
-pub fn shadow_casters(composition: &Composition, sun_known: bool) -> Vec<u16> {
+pub fn shadow_casters(composition: &Composition, sun_known: bool) -> Vec<Caster> {
     let casts = |origin: Origin| match origin {
         Origin::Inserted | Origin::Replaced => composition.insert_shadows,
         Origin::Replayed => sun_known,
-        // A recorded mover's shadow lies in no field and is hardly ever in its pixels: it is left out.
+        // A recorded mover's shadow lies in no field; its near part is in the recorded image around it.
         Origin::Recorded | Origin::Static => false,
     };
     let objects = composition.objects.iter();
     objects
         .filter(|o| casts(o.origin))
-        .map(|o| o.instance_id)
+        .map(|o| Caster {
+            instance_id: o.instance_id,
+            recorded: o.origin != Origin::Inserted,
+        })
         .collect()
 }
 
-/// Darkens the ground under and behind the named instances. Without a sun direction only the contact shadow remains.
+/// Darkens the ground under and behind the casters. Without a sun direction only the contact shadow remains. `shown` is the weight of
+/// the recorded image per pixel.
 pub fn cast_shadows(
     scene: &Scene<'_>,
-    casters: &[u16],
+    casters: &[Caster],
     sun_direction_local: Option<DVec3>,
+    shown: &[f32],
     frame: &mut RenderedFrame,
 ) {
     let sun = sun_direction_local
         .map(DVec3::normalize)
         .filter(|d| d.z >= MIN_SUN_SINE);
-    let objects: Vec<u16> = scene.objects.iter().map(|o| o.instance_id).collect();
-    let mut named: Vec<&SceneObject<'_>> = scene
+    let mut named: Vec<(&SceneObject<'_>, bool)> = scene
         .objects
         .iter()
-        .filter(|o| casters.contains(&o.instance_id))
+        .filter_map(|o| {
+            let caster = casters.iter().find(|c| c.instance_id == o.instance_id)?;
+            Some((o, caster.recorded))
+        })
         .collect();
-    named.sort_by_key(|o| o.instance_id);
+    named.sort_by_key(|(o, _)| o.instance_id);
     let maps: Vec<ShadowMap<'_>> = named
         .par_iter()
-        .map(|object| ShadowMap::new(object, sun))
+        .map(|(object, recorded)| ShadowMap::new(object, *recorded, sun))
         .collect();
     if maps.is_empty() {
         return;
     }
-    let width = frame.width as usize;
-    let (depth, instance) = (&frame.depth_z_m, &frame.instance);
-    frame
-        .rgb8
-        .par_chunks_mut(3 * width)
-        .enumerate()
-        .for_each(|(row, pixels)| {
-            for (column, rgb) in pixels.chunks_exact_mut(3).enumerate() {
-                let i = row * width + column;
-                if depth[i] > 0.0 && !objects.contains(&instance[i]) {
-                    let p = surface_point(scene, column, row, f64::from(depth[i]));
-                    darken(rgb, light_left(scene.background, &maps, sun, p));
-                }
+    let darkened: Vec<Option<[f32; 3]>> = (0..shown.len())
+        .into_par_iter()
+        .map(|i| {
+            let z = f64::from(frame.behind_z_m[i]);
+            if z <= 0.0 || !frame.shows_behind(i) {
+                return None;
             }
-        });
-}
-
-fn surface_point(scene: &Scene<'_>, column: usize, row: usize, z: f64) -> DVec3 {
-    let pixel = DVec2::new(column as f64 + 0.5, row as f64 + 0.5);
-    let direction = scene.camera.direction(pixel);
-    scene.local_from_camera.point(direction * (z / direction.z))
+            let p = frame.point(scene, i, z);
+            let left = light_left(scene.background, &maps, sun, f64::from(shown[i]), p);
+            (left < 1.0).then(|| frame.behind_rgb[i].map(|c| darken(c, left)))
+        })
+        .collect();
+    for (i, rgb) in darkened.into_iter().enumerate() {
+        if let Some(rgb) = rgb {
+            frame.set_behind(i, rgb);
+        }
+    }
 }
 
 /// Fraction of a ground point's light that all casters together leave.
@@ -100,13 +112,15 @@ fn light_left(
     background: Option<&Field>,
     maps: &[ShadowMap<'_>],
     sun: Option<DVec3>,
+    shown: f64,
     p: DVec3,
 ) -> f64 {
     let (mut sun_left, mut dome_left) = (1.0, 1.0);
     for map in maps {
         let (sun, dome) = map.at(p);
-        sun_left *= sun;
-        dome_left *= dome;
+        let cast = if map.recorded { 1.0 - shown } else { 1.0 };
+        sun_left *= 1.0 - cast * (1.0 - sun);
+        dome_left *= 1.0 - cast * (1.0 - dome);
     }
     if sun_left == 1.0 && dome_left == 1.0 {
         return 1.0;
@@ -120,14 +134,9 @@ fn light_left(
     (direct * sun_left + diffuse * dome_left) / (direct + diffuse)
 }
 
-fn darken(rgb: &mut [u8], factor: f64) {
-    if factor >= 1.0 {
-        return;
-    }
-    for channel in rgb {
-        let linear = linear_of(f64::from(*channel) / 255.0) * factor;
-        *channel = libm::round(srgb_of(linear) * 255.0) as u8;
-    }
+/// Scales an sRGB channel in linear light.
+fn darken(channel: f32, factor: f64) -> f32 {
+    srgb_of(linear_of(f64::from(channel)) * factor) as f32
 }
 
 /// IEC 61966-2-1.
@@ -163,6 +172,7 @@ fn transmittance(field: &Field, origin: DVec3, direction: DVec3, range_m: f64) -
 /// Light that reaches a caster's ground plane, on a grid in the caster's frame.
 struct ShadowMap<'a> {
     object: &'a SceneObject<'a>,
+    recorded: bool,
     low: DVec2,
     columns: usize,
     rows: usize,
@@ -171,7 +181,7 @@ struct ShadowMap<'a> {
 }
 
 impl<'a> ShadowMap<'a> {
-    fn new(object: &'a SceneObject<'a>, sun: Option<DVec3>) -> Self {
+    fn new(object: &'a SceneObject<'a>, recorded: bool, sun: Option<DVec3>) -> Self {
         let sun = sun.map(|d| object.local_from_object.inverse().direction(d));
         let (low, high) = object.field.bounds();
         let (low, high) = (low.as_dvec3().truncate(), high.as_dvec3().truncate());
@@ -187,6 +197,7 @@ impl<'a> ShadowMap<'a> {
         let (columns, rows) = (size.x.ceil() as usize + 1, size.y.ceil() as usize + 1);
         let mut map = Self {
             object,
+            recorded,
             low: from,
             columns,
             rows,
@@ -266,6 +277,7 @@ mod tests {
     use super::*;
     use crate::camera::Rigid;
     use crate::scene::solid_field::solid_field;
+    use crate::scene::tone::Tone;
     use glam::Vec3;
 
     const SIZE: DVec3 = DVec3::new(4.0, 2.0, 1.6);
@@ -286,9 +298,10 @@ mod tests {
             field: &field,
             local_from_object: Rigid::from_heading(0.0, DVec3::Z * 0.8),
             size_m: SIZE,
+            tone: Tone::IDENTITY,
         };
-        let maps = [ShadowMap::new(&object, sun)];
-        light_left(None, &maps, sun, DVec3::new(x, y, z))
+        let maps = [ShadowMap::new(&object, false, sun)];
+        light_left(None, &maps, sun, 0.0, DVec3::new(x, y, z))
     }
 
     #[test]
@@ -316,12 +329,8 @@ mod tests {
 
     #[test]
     fn light_is_scaled_in_linear_space() {
-        let mut rgb = [188, 188, 188];
-        darken(&mut rgb, 0.5);
         // 188 is half of full linear light, so a quarter remains: 137.
-        assert_eq!(rgb, [137; 3]);
-        let mut black = [0, 0, 0];
-        darken(&mut black, 0.5);
-        assert_eq!(black, [0; 3]);
+        assert!((darken(188.0 / 255.0, 0.5) * 255.0 - 137.0).abs() < 0.5);
+        assert_eq!(darken(0.0, 0.5), 0.0);
     }
 }

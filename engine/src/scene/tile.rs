@@ -7,6 +7,7 @@ use glam::{DVec2, Vec3};
 use super::merge::{composite, merge};
 use super::projection::PixelBox;
 use super::render::{Prepared, PreparedStatic};
+use super::tone::Tone;
 use crate::field::{ColorScratch, Ray, RaySample};
 
 /// Side of a tile: large enough to fill colour batches, small enough to spread over threads.
@@ -29,8 +30,12 @@ const HALF_TAU: f32 = std::f32::consts::LN_2;
 /// One finished pixel.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Pixel {
-    pub(super) rgb: [f32; 3],
+    /// Background and sky, weighted as composited.
+    pub(super) behind_rgb: [f32; 3],
+    pub(super) placed_rgb: [f32; 3],
+    pub(super) placed_alpha: f32,
     pub(super) depth_z_m: f32,
+    pub(super) behind_z_m: f32,
     pub(super) instance: u16,
     pub(super) accumulation: f32,
 }
@@ -154,7 +159,7 @@ impl<'a> TileRenderer<'a> {
             let ray = self.eye_ray(corner + sub_pixel(sub, side));
             let hit = self.trace(ray, index, share);
             let sky = scene.background.map_or([0.0; 3], |b| b.sky(ray.direction));
-            for (channel, sky) in pixel.rgb.iter_mut().zip(sky) {
+            for (channel, sky) in pixel.behind_rgb.iter_mut().zip(sky) {
                 *channel += share * hit.transmittance * sky;
             }
             pixel.accumulation += share * (1.0 - hit.transmittance);
@@ -165,6 +170,8 @@ impl<'a> TileRenderer<'a> {
         }
         let (ray, hit) = first.expect("every pixel has a central ray");
         pixel.depth_z_m = hit.half_t.map_or(0.0, |t| t * ray.z_per_m);
+        pixel.behind_z_m = hit.background_half_t.map_or(0.0, |t| t * ray.z_per_m);
+        pixel.placed_alpha = self.placed_weight().min(1.0);
         pixel.instance = self.owner();
         self.find_static(ray, hit, centre, index, tile);
         let owner = tile.pixels[index as usize].instance;
@@ -316,10 +323,13 @@ impl<'a> TileRenderer<'a> {
         }
     }
 
+    fn placed_weight(&self) -> f32 {
+        self.active.iter().map(|i| self.object_weight[*i]).sum()
+    }
+
     /// The object that owns the pixel: all of them carry half of its weight, this one most of theirs.
     fn owner(&self) -> u16 {
-        let total: f32 = self.active.iter().map(|i| self.object_weight[*i]).sum();
-        if total < HALF {
+        if self.placed_weight() < HALF {
             return 0;
         }
         let heaviest = self
@@ -389,8 +399,19 @@ impl<'a> TileRenderer<'a> {
                 &mut self.colors,
                 &mut self.scratch,
             );
+            if let Some(tone) = b.checked_sub(1).map(|i| self.scene.objects[i].tone)
+                && tone != Tone::IDENTITY
+            {
+                for color in &mut self.colors {
+                    *color = tone.apply(*color);
+                }
+            }
             for ((pixel, weight), color) in batch.targets.iter().zip(&self.colors) {
-                let rgb = &mut tile.pixels[*pixel as usize].rgb;
+                let pixel = &mut tile.pixels[*pixel as usize];
+                let rgb = match b {
+                    0 => &mut pixel.behind_rgb,
+                    _ => &mut pixel.placed_rgb,
+                };
                 for (channel, color) in rgb.iter_mut().zip(color) {
                     *channel += weight * color;
                 }

@@ -4,9 +4,8 @@ use std::sync::Arc;
 
 use backlot_engine::asset::AssetKind;
 use backlot_engine::scene::{
-    Candidate, Composition, Recipe, RecordedImage, RenderOptions, RenderedFrame, Scene, Stage,
-    cast_shadows, compose, ignore_mask, label, needs_recorded, render, replay_recorded,
-    shadow_casters,
+    Candidate, Composition, Draws, Recipe, RecordedImage, RenderOptions, Scene, Stage, compose,
+    finish, label, match_tones, needs_recorded, render,
 };
 use backlot_engine::{Asset, Error as EngineError};
 
@@ -17,6 +16,9 @@ use super::sample::{Sample, SampleObject, boxes, encode_planes};
 use crate::domain::blob::Digest;
 use crate::domain::ids::AssetId;
 use crate::ingest::decode_rgb;
+
+/// Draws of attempt numbers that no placement reaches.
+const GRAIN: u32 = u32::MAX;
 
 /// Which planes are wanted besides the image.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -90,20 +92,38 @@ impl RecipeSamples {
         let composition = compose(&stage, candidates, &self.request.recipe, seed, index)?;
         let assets = self.load_placed(&composition, cancelled)?;
         let field = |i: usize| assets[i].as_deref().map(|asset| &asset.field);
-        let scene = Scene::of_composition(&self.background.field, &composition, field)?;
+        let mut scene = Scene::of_composition(&self.background.field, &composition, field)?;
+        let recorded = self.recorded_image(&stage, &composition)?;
+        let recorded = recorded.as_ref().map(Decoded::image);
+        let matched = recorded
+            .as_ref()
+            .filter(|_| self.request.recipe.match_tones);
+        let tones = match matched {
+            Some(image) => match_tones(
+                &stage,
+                &scene,
+                &composition,
+                candidates,
+                image,
+                field,
+                cancelled,
+            )?,
+            None => Vec::new(),
+        };
+        scene.set_tones(&tones);
         let mut frame = render(&scene, &RenderOptions::default(), cancelled)?;
-        let sun = stage.recording.sun_direction_local;
-        cast_shadows(
+        let finished = finish(
+            &stage,
             &scene,
-            &shadow_casters(&composition, sun.is_some()),
-            sun,
+            &composition,
+            recorded.as_ref(),
+            field,
+            Draws::new(seed, index, GRAIN),
             &mut frame,
         );
-        self.replay_recorded(&stage, &composition, &mut frame)?;
         let labels = label(&composition, stage.region, &frame);
-        let ignore = ignore_mask(&composition, &frame);
         let [image_png, depth_png, instance_png, ignore_png] =
-            encode_planes(&frame, ignore.as_deref(), self.request.planes)?;
+            encode_planes(&frame, finished.ignore.as_deref(), self.request.planes)?;
         let recorded = &stage.recording.frames[composition.frame];
         let world_from_local = header.local_from_world.inverse();
         let placed = || composition.objects.iter().filter_map(|o| o.asset);
@@ -118,9 +138,14 @@ impl RecipeSamples {
             depth_png,
             instance_png,
             ignore_png,
-            boxes: boxes(&composition.objects, &labels, &world_from_local, |i| {
-                object_of(&candidates[i])
-            }),
+            filled_px: finished.filled_px,
+            boxes: boxes(
+                &composition.objects,
+                &labels,
+                &world_from_local,
+                &tones,
+                |i| object_of(&candidates[i]),
+            ),
             labels,
             insert_shadows: composition.insert_shadows,
             synthetic: header.synthetic || placed().any(|i| self.objects.objects[i].synthetic),
@@ -129,17 +154,20 @@ impl RecipeSamples {
         })
     }
 
-    /// Shows movers without an asset, and the ground around those with one, by the recorded image, which is only read where there are some.
-    fn replay_recorded(
+    /// The composition's frame as recorded; `None` if nothing of it is to be shown.
+    fn recorded_image(
         &self,
         stage: &Stage<'_>,
         composition: &Composition,
-        frame: &mut RenderedFrame,
-    ) -> Result<()> {
-        if !needs_recorded(composition) {
-            return Ok(());
+    ) -> Result<Option<Decoded>> {
+        let needed = needs_recorded(composition);
+        if !needed && composition.left_out.is_empty() {
+            return Ok(None);
         }
         let recorded = &stage.recording.frames[composition.frame];
+        if !needed && recorded.image.is_none() {
+            return Ok(None);
+        }
         let unusable = |why: String| Error::Invalid {
             what: format!(
                 "frame {} of {} shows original movers, and its image {why}; set drop_originals to leave them out",
@@ -155,25 +183,25 @@ impl RecipeSamples {
             .camera(&recorded.camera_id)
             .ok_or_else(|| unusable("has no camera".to_owned()))?;
         let bytes = self.cache.store().blobs().read(&digest)?;
-        let rgb8 = decode_rgb(&bytes, (camera.width, camera.height))
-            .map_err(|e| unusable(e.to_string()))?;
-        let image = RecordedImage {
-            width: camera.width,
-            height: camera.height,
-            rgb8: &rgb8,
-        };
-        replay_recorded(composition, &image, frame);
-        Ok(())
+        let (width, height) = (camera.width, camera.height);
+        let rgb8 = decode_rgb(&bytes, (width, height)).map_err(|e| unusable(e.to_string()))?;
+        Ok(Some(Decoded {
+            width,
+            height,
+            rgb8,
+        }))
     }
 
-    /// The decoded assets of the placed objects, by index into the candidates.
+    /// The decoded assets of the placed objects and of the left-out movers, by index into the candidates.
     fn load_placed(
         &self,
         composition: &Composition,
         cancelled: &(dyn Fn() -> bool + Sync),
     ) -> Result<Vec<Option<Arc<Asset>>>> {
         let mut assets = vec![None; self.objects.objects.len()];
-        for index in composition.objects.iter().filter_map(|o| o.asset) {
+        let placed = composition.objects.iter().map(|o| o.asset);
+        let left_out = composition.left_out.iter().map(|o| o.asset);
+        for index in placed.chain(left_out).flatten() {
             if cancelled() {
                 return Err(EngineError::Cancelled.into());
             }
@@ -183,6 +211,23 @@ impl RecipeSamples {
             }
         }
         Ok(assets)
+    }
+}
+
+/// A recorded image in memory.
+struct Decoded {
+    width: u32,
+    height: u32,
+    rgb8: Vec<u8>,
+}
+
+impl Decoded {
+    fn image(&self) -> RecordedImage<'_> {
+        RecordedImage {
+            width: self.width,
+            height: self.height,
+            rgb8: &self.rgb8,
+        }
     }
 }
 

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use backlot_engine::backend::cpu::Simd;
 use backlot_engine::camera::{Camera, Rigid};
 use backlot_engine::class::ObjectClass;
-use backlot_engine::scene::{FrameLabel, Origin, PlacedObject, RenderedFrame};
+use backlot_engine::scene::{FrameLabel, Origin, PlacedObject, RenderedFrame, Tone};
 use bytes::Bytes;
 use glam::DVec3;
 
@@ -31,6 +31,8 @@ pub struct Sample {
     pub instance_png: Bytes,
     /// Empty if no pixel is to be ignored.
     pub ignore_png: Bytes,
+    /// Pixels made up from their surroundings, all of them ignored.
+    pub filled_px: u32,
     /// Every object that was placed, and the static ones that can be seen.
     pub boxes: Vec<SampleBox>,
     /// Views of the boxes that can be seen.
@@ -54,6 +56,8 @@ pub struct SampleBox {
     pub size_m: DVec3,
     pub track_id: String,
     pub beyond_coverage: bool,
+    /// How its colours were matched to the frame.
+    pub tone: Option<Tone>,
     /// `None` for static originals.
     pub object: Option<SampleObject>,
 }
@@ -98,6 +102,7 @@ pub(super) fn boxes(
     objects: &[PlacedObject],
     labels: &[FrameLabel],
     world_from_local: &Rigid,
+    tones: &[(u16, Tone)],
     object_of: impl Fn(usize) -> SampleObject,
 ) -> Vec<SampleBox> {
     let is_labelled = |id: u16| labels.iter().any(|label| label.instance_id == id);
@@ -112,6 +117,10 @@ pub(super) fn boxes(
             size_m: o.size_m,
             track_id: o.track_id.clone().unwrap_or_default(),
             beyond_coverage: o.beyond_coverage,
+            tone: tones
+                .iter()
+                .find(|(id, _)| *id == o.instance_id)
+                .map(|(_, tone)| *tone),
             object: o.asset.map(&object_of),
         })
         .collect()

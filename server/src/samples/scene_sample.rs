@@ -6,8 +6,8 @@ use backlot_engine::Asset;
 use backlot_engine::asset::{AssetKind, Usage};
 use backlot_engine::camera::{Camera, Rigid};
 use backlot_engine::scene::{
-    Composition, MAX_OBJECTS, Origin, PlacedObject, RenderOptions, Scene, SceneObject, ValidRegion,
-    cast_shadows, label, render, shadow_casters,
+    Composition, MAX_OBJECTS, Origin, PlacedObject, RenderOptions, Scene, SceneObject, Tone,
+    ValidRegion, cast_shadows, label, render, shadow_casters,
 };
 use glam::{DQuat, DVec2};
 
@@ -138,6 +138,7 @@ fn finish(
                 field: &asset.field,
                 local_from_object: object.local_from_object,
                 size_m: object.size_m,
+                tone: Tone::IDENTITY,
             })
             .collect(),
         statics: Vec::new(),
@@ -149,7 +150,8 @@ fn finish(
     let sun = recording.and_then(|recording| recording.sun_direction_local);
     if request.insert_shadows {
         let casters = shadow_casters(composition, sun.is_some());
-        cast_shadows(&scene, &casters, sun, &mut frame);
+        let shown = vec![0.0; frame.placed_alpha.len()];
+        cast_shadows(&scene, &casters, sun, &shown, &mut frame);
     }
     let nowhere = ValidRegion::unseen(DVec2::ZERO, 1.0, 0, 0);
     let region = background.and_then(|asset| asset.header.valid_region.as_ref());
@@ -169,7 +171,8 @@ fn finish(
         depth_png,
         instance_png,
         ignore_png,
-        boxes: boxes(&composition.objects, &labels, &world_from_local, |i| {
+        filled_px: 0,
+        boxes: boxes(&composition.objects, &labels, &world_from_local, &[], |i| {
             SampleObject {
                 asset: request.objects[i].asset.to_string(),
                 source_log: assets[i].header.source_log.clone(),
