@@ -61,6 +61,15 @@ pub struct ObjectRecord {
     pub track_id: Option<String>,
     pub source_log: Option<String>,
     pub source_track_id: Option<String>,
+    /// How the asset's colours were matched to the frame.
+    pub tone: Option<ToneRecord>,
+}
+
+/// sRGB channel c became gain * c + offset: red, green, blue.
+#[derive(Clone, Debug, Serialize)]
+pub struct ToneRecord {
+    pub gain: Vec<f64>,
+    pub offset: Vec<f64>,
 }
 
 #[derive(Clone, Debug, Serialize)]
@@ -129,6 +138,10 @@ fn object_record((box_3d, box_2d): (&v1::SampleBox, &v1::SampleBox2D)) -> Object
         track_id: some(&box_3d.track_id),
         source_log: some(&box_3d.source_log),
         source_track_id: some(&box_3d.source_track_id),
+        tone: box_3d.tone.as_ref().map(|tone| ToneRecord {
+            gain: tone.gain.clone(),
+            offset: tone.offset.clone(),
+        }),
     }
 }
 

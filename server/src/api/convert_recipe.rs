@@ -63,6 +63,7 @@ pub(super) fn recipe_from_wire(wire: v1::Recipe, seed: u64) -> Result<RecipeRequ
         replace_probability: number("replace_probability", Some(wire.replace_probability), 0.0),
         drop_originals: wire.drop_originals,
         insert_shadows: wire.insert_shadows,
+        match_tones: !wire.keep_tones,
         longer_side_px: wire.longer_side_px,
         coverage_slack_rad: number("coverage_slack_rad", slack, defaults.coverage_slack_rad),
         camera_id: wire.camera_id,

@@ -58,6 +58,7 @@ fn frame_to_wire(sample: Sample) -> v1::SampleFrame {
         depth_unit_m: DEPTH_UNIT_M,
         instance_png: sample.instance_png,
         ignore_png: sample.ignore_png,
+        filled_pixels: sample.filled_px,
     }
 }
 
@@ -98,6 +99,10 @@ fn box_to_wire(sample_box: &SampleBox) -> v1::SampleBox {
         source_log,
         source_track_id,
         beyond_coverage: sample_box.beyond_coverage,
+        tone: sample_box.tone.map(|tone| v1::Tone {
+            gain: tone.gain.map(f64::from).to_vec(),
+            offset: tone.offset.map(f64::from).to_vec(),
+        }),
     }
 }
 

@@ -25,6 +25,7 @@ class Recipe:
         replace_probability: 0..1, that an original object that can be replaced is.
         drop_originals: leaves recorded movers out; what was never seen under them is in `Frame.ignore_mask`.
         insert_shadows: casts shadows of inserted objects.
+        keep_tones: leaves objects of other logs in their own light instead of matching them to the frame.
         longer_side_px: output size; 0 means as recorded.
         coverage_slack_rad: radians beyond the observed views; None means the server's default.
         camera_id: camera to render; empty means the background's first.
@@ -45,6 +46,7 @@ class Recipe:
     replace_probability: float = 0.0
     drop_originals: bool = False
     insert_shadows: bool = False
+    keep_tones: bool = False
     longer_side_px: int = 0
     coverage_slack_rad: float | None = None
     camera_id: str = ""

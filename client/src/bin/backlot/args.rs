@@ -237,6 +237,9 @@ pub(crate) struct AugmentOptions {
     /// Do not cast shadows from inserted objects.
     #[arg(long)]
     pub no_shadows: bool,
+    /// Keep the light that objects of other logs were recorded in.
+    #[arg(long)]
+    pub keep_tones: bool,
     /// Size of the longer side of the images; by default as recorded.
     #[arg(long, value_name = "PIXELS", default_value_t = 0)]
     pub longer_side: u32,

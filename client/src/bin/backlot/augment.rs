@@ -95,6 +95,7 @@ fn recipe(options: &AugmentOptions) -> anyhow::Result<v1::Recipe> {
         replace_probability: options.replace,
         drop_originals: options.drop_originals,
         insert_shadows: !options.no_shadows,
+        keep_tones: options.keep_tones,
         longer_side_px: options.longer_side,
         camera_id: options.camera.clone(),
         omit_depth: options.no_depth,
