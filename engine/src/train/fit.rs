@@ -140,13 +140,7 @@ fn affordable_rays(preset: &TrainPreset, colored: u64, rays: u64) -> usize {
 
 /// Exponential decay, as DVGO's.
 fn rates_at(preset: &TrainPreset, done: f64) -> Rates {
-    let factor = preset.rate_decay.powf(done as f32);
-    Rates {
-        density: preset.rates.density * factor,
-        features: preset.rates.features * factor,
-        mlp: preset.rates.mlp * factor,
-        sky: preset.rates.sky * factor,
-    }
+    preset.rates.scaled(preset.rate_decay.powf(done as f32))
 }
 
 /// The value below which the share `q` of `values` lies; infinite for none.

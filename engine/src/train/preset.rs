@@ -102,6 +102,7 @@ impl TrainPreset {
                 features: 0.1,
                 mlp: 2e-3,
                 sky: 0.1,
+                ..Rates::default()
             },
             rate_decay: 0.1,
             mix: RayMix {
@@ -125,6 +126,7 @@ impl TrainPreset {
                 depth_cap_m: 2.0,
                 min_weight: 3e-3,
                 depth_trim_m: f32::INFINITY,
+                ..RayLosses::default()
             },
             surveys: Surveys::AtFractions(vec![0.1, 0.25, 0.5]),
             survey_alpha: 5e-3,
@@ -152,6 +154,7 @@ impl TrainPreset {
                 features: 0.1,
                 mlp: 2e-3,
                 sky: 0.0,
+                ..Rates::default()
             },
             rate_decay: 0.1,
             mix: RayMix {
@@ -175,6 +178,7 @@ impl TrainPreset {
                 depth_cap_m: 1.0,
                 min_weight: 3e-3,
                 depth_trim_m: f32::INFINITY,
+                ..RayLosses::default()
             },
             surveys: Surveys::AtSteps(vec![64, 128, 256, 512, 1024, 2048, 4096]),
             survey_alpha: 1e-2,
@@ -204,6 +208,7 @@ impl TrainPreset {
                 features: 0.1,
                 mlp: 2e-3,
                 sky: 0.0,
+                ..Rates::default()
             },
             rate_decay: 0.1,
             mix: RayMix {
@@ -227,6 +232,7 @@ impl TrainPreset {
                 depth_cap_m: 1.0,
                 min_weight: 3e-3,
                 depth_trim_m: f32::INFINITY,
+                ..RayLosses::default()
             },
             surveys: Surveys::AtFractions(vec![0.15, 0.4, 0.7]),
             survey_alpha: 5e-3,

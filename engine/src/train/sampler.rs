@@ -65,9 +65,9 @@ enum Subject {
 /// Draws rays, a pure function of (seed, step, ray).
 #[derive(Debug)]
 pub(super) struct Sampler<'a> {
-    views: Vec<(&'a TrainView, PixelWindow)>,
+    views: Vec<(u32, &'a TrainView, PixelWindow)>,
     /// Views with LiDAR returns.
-    depth_views: Vec<&'a TrainView>,
+    depth_views: Vec<(u32, &'a TrainView)>,
     subject: Subject,
     seed: u64,
 }
@@ -109,13 +109,15 @@ impl<'a> Sampler<'a> {
         subject: Subject,
         seed: u64,
     ) -> Self {
-        let train = views.iter().filter(|view| view.split == Split::Train);
+        let train = (0u32..)
+            .zip(views)
+            .filter(|(_, view)| view.split == Split::Train);
         Self {
             views: train
                 .clone()
-                .filter_map(|view| Some((view, window(view)?)))
+                .filter_map(|(number, view)| Some((number, view, window(view)?)))
                 .collect(),
-            depth_views: train.filter(|view| !view.depth.is_empty()).collect(),
+            depth_views: train.filter(|(_, view)| !view.depth.is_empty()).collect(),
             subject,
             seed,
         }
@@ -128,7 +130,7 @@ impl<'a> Sampler<'a> {
 
     /// Pixels that rays are drawn from.
     pub(super) fn pixel_count(&self) -> u64 {
-        let windows = self.views.iter().map(|(_, window)| window);
+        let windows = self.views.iter().map(|(.., window)| window);
         windows
             .map(|w| u64::from(w.width) * u64::from(w.height))
             .sum()
@@ -160,7 +162,7 @@ impl<'a> Sampler<'a> {
     }
 
     fn pixel_ray(&self, mix: &RayMix, draws: &mut Draws) -> TrainRay {
-        let (view, window) = self.views[draws.below(self.views.len())];
+        let (number, view, window) = self.views[draws.below(self.views.len())];
         let mut pixel = (0, 0);
         let mut label = PixelLabel::Unknown;
         for _ in 0..REDRAWS {
@@ -174,6 +176,7 @@ impl<'a> Sampler<'a> {
             }
         }
         let mut ray = bare_ray(
+            number,
             view,
             DVec2::new(f64::from(pixel.0) + 0.5, f64::from(pixel.1) + 0.5),
             draws,
@@ -209,10 +212,10 @@ impl<'a> Sampler<'a> {
     }
 
     fn depth_ray(&self, mix: &RayMix, depth_rays: usize, draws: &mut Draws) -> TrainRay {
-        let view = self.depth_views[draws.below(self.depth_views.len())];
+        let (number, view) = self.depth_views[draws.below(self.depth_views.len())];
         let depth = view.depth[draws.below(view.depth.len())];
         let [x, y] = depth.pixel.map(f64::from);
-        let mut ray = bare_ray(view, DVec2::new(x, y), draws);
+        let mut ray = bare_ray(number, view, DVec2::new(x, y), draws);
         ray.range_m = depth.range_m;
         ray.range_weight = mix.depth_weight / depth_rays as f32;
         ray.t_max = depth.range_m + mix.depth_margin_m;
@@ -226,12 +229,13 @@ impl<'a> Sampler<'a> {
             ray.ray.origin.y = -ray.ray.origin.y;
             ray.ray.direction.y = -ray.ray.direction.y;
             ray.color_weight *= mix.mirror_color;
+            ray.mirrored = true;
         }
         ray
     }
 }
 
-fn bare_ray(view: &TrainView, pixel: DVec2, draws: &mut Draws) -> TrainRay {
+fn bare_ray(number: u32, view: &TrainView, pixel: DVec2, draws: &mut Draws) -> TrainRay {
     let direction = view
         .local_from_camera
         .direction(view.camera.direction(pixel));
@@ -249,6 +253,8 @@ fn bare_ray(view: &TrainView, pixel: DVec2, draws: &mut Draws) -> TrainRay {
         silhouette_weight: 0.0,
         range_m: 0.0,
         range_weight: 0.0,
+        view: number,
+        mirrored: false,
     }
 }
 

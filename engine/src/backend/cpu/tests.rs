@@ -12,7 +12,7 @@ use crate::field::{
     SkyMap, encode_view,
 };
 use crate::scene::Draws;
-use crate::train::ray::{Backdrop, Rates, RayLosses, Silhouette, TrainRay};
+use crate::train::ray::{Backdrop, DepthForm, Rates, RayLosses, Rectified, Silhouette, TrainRay};
 
 /// f32 gradients through 39 + 16 + 16 terms and up to 40 samples; measured near 1e-5.
 const TOLERANCE: f64 = 1e-3;
@@ -24,6 +24,14 @@ const LOSSES: RayLosses = RayLosses {
     depth_cap_m: 1.0,
     min_weight: 0.0,
     depth_trim_m: f32::INFINITY,
+    depth: DepthForm::Expected,
+    rectified: Rectified::CrossEntropy,
+    distortion: 0.0,
+    distortion_scale_m: 1.0,
+    density_variation: 0.0,
+    feature_variation: 0.0,
+    exposure_prior: 0.0,
+    pose_prior: 0.0,
 };
 
 fn field() -> Field {
@@ -93,6 +101,8 @@ fn rays() -> Vec<TrainRay> {
                 silhouette_weight: 0.05,
                 range_m: 2.3,
                 range_weight: if number >= 4 { 0.1 } else { 0.0 },
+                view: number as u32,
+                mirrored: false,
             }
         })
         .collect()
@@ -366,6 +376,7 @@ fn a_step_moves_every_node_against_its_summed_gradient() {
         features: 0.01,
         mlp: 0.0,
         sky: 0.0,
+        ..Rates::default()
     };
     trainer.step(&rays, &LOSSES, rates);
     let after = parameters(trainer.field());
@@ -402,6 +413,7 @@ fn steps_do_not_depend_on_the_number_of_threads() {
         features: 0.05,
         mlp: 1e-3,
         sky: 0.05,
+        ..Rates::default()
     };
     let trained = |threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new()
