@@ -5,6 +5,7 @@ use glam::Vec3;
 use super::lanes::Lanes;
 use super::mlp::{MlpBatch, TransposedWeights};
 use super::simd::{Simd, dispatch};
+use super::view_corrections::{Corrections, ViewGradient};
 use crate::field::march::march_generic;
 use crate::field::probe::{GROUP, Places, Positions, gather_features};
 use crate::field::{Field, MarchRange, RaySample, encode_view};
@@ -48,6 +49,11 @@ pub(super) struct Chunk {
     pub(super) tau_gradient: Vec<f32>,
     pub(super) batch: MlpBatch,
     pub(super) points: Vec<PointGradient>,
+    /// End of every ray's points.
+    pub(super) point_ends: Vec<u32>,
+    /// The rays as corrected, and a gradient for each, where views are corrected; else empty.
+    pub(super) rays: Vec<TrainRay>,
+    pub(super) views: Vec<ViewGradient>,
     /// Per level: (brick, point) for every brick that a point's interpolation reads.
     pub(super) touched: Vec<Vec<(u32, u32)>>,
     pub(super) sky: Vec<SkyGradient>,
@@ -60,6 +66,7 @@ pub(super) struct Setting<'a> {
     pub(super) field: &'a Field,
     pub(super) transposed: &'a TransposedWeights,
     pub(super) losses: &'a RayLosses,
+    pub(super) corrections: Option<Corrections<'a>>,
     pub(super) simd: Simd,
 }
 
@@ -67,6 +74,19 @@ impl Chunk {
     /// Computes all gradients of `rays`.
     pub(super) fn run(&mut self, setting: Setting<'_>, rays: &[TrainRay]) {
         self.clear(setting.field.levels.len());
+        let Some(corrections) = setting.corrections else {
+            return self.run_corrected(setting, rays);
+        };
+        self.correct(corrections, rays);
+        let rays = std::mem::take(&mut self.rays);
+        self.run_corrected(setting, &rays);
+        self.rays = rays;
+        if corrections.learns_poses {
+            self.pose_gradients(setting.field, corrections.views);
+        }
+    }
+
+    fn run_corrected(&mut self, setting: Setting<'_>, rays: &[TrainRay]) {
         march(setting.simd, self, setting.field, rays);
         self.composite(setting, rays);
         let (positions, rows) = (&self.positions, &mut self.batch.features);
@@ -84,6 +104,8 @@ impl Chunk {
         self.positions.clear();
         self.batch.clear();
         self.points.clear();
+        self.point_ends.clear();
+        self.views.clear();
         self.sky.clear();
         self.sums.clear();
         self.touched.resize_with(levels, Vec::new);

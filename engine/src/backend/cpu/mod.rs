@@ -9,6 +9,8 @@ mod chunk;
 pub(crate) mod lanes;
 mod march;
 mod matmul;
+#[cfg(test)]
+mod mirror;
 pub(crate) mod mlp;
 pub(crate) mod prefetch;
 mod ray_losses;
@@ -17,10 +19,13 @@ pub(crate) mod simd;
 #[cfg(test)]
 mod tests;
 mod trainer;
+mod variation;
+mod view_corrections;
 
 pub(crate) use chunk::NO_SLOT;
 pub use simd::Simd;
 pub use trainer::CpuTrainer;
+pub use view_corrections::{PoseCorrection, ViewCorrection};
 
 use std::sync::Arc;
 

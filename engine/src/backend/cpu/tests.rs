@@ -1,22 +1,18 @@
 //! The whole renderer's gradients against f64 differences of a plain forward pass, and what one step does with them.
 
-use glam::Vec3;
+use glam::{Quat, Vec3};
 
-use super::chunk::{Chunk, NO_SLOT, Setting};
-use super::mlp::{PADDED_FEATURES, TransposedWeights};
+use super::mirror::{Scene, offsets, parameters};
 use super::*;
 use crate::field::lattice::BRICK_NODES;
-use crate::field::mlp::{MLP_INPUTS, MLP_OUTPUTS};
-use crate::field::{
-    ColorMlp, DensityActivation, FEATURES, Lattice, MarchRange, Occupancy, Ray, RaySample, SkyGrid,
-    SkyMap, encode_view,
-};
+use crate::field::{ColorMlp, DensityActivation, Lattice, Occupancy, Ray, SkyGrid, SkyMap};
+use crate::quality::render_rays;
 use crate::scene::Draws;
 use crate::train::ray::{Backdrop, DepthForm, Rates, RayLosses, Rectified, Silhouette, TrainRay};
+use crate::volume::Exposure;
 
 /// f32 gradients through 39 + 16 + 16 terms and up to 40 samples; measured near 1e-5.
 const TOLERANCE: f64 = 1e-3;
-const H: f64 = 1e-4;
 const LOSSES: RayLosses = RayLosses {
     sample_color: 0.1,
     entropy: 0.02,
@@ -108,269 +104,214 @@ fn rays() -> Vec<TrainRay> {
         .collect()
 }
 
-/// All parameters of the field in one vector of f64: densities, features, network, sky.
-fn parameters(field: &Field) -> Vec<f64> {
-    let mut all = Vec::new();
-    for level in &field.levels {
-        all.extend(level.density().iter().map(|x| f64::from(*x)));
-        all.extend(level.features().iter().flatten().map(|x| f64::from(*x)));
+/// Rays without corrections, under `losses`.
+fn scene(losses: RayLosses) -> Scene {
+    Scene {
+        field: field(),
+        rays: rays(),
+        losses,
+        corrections: Vec::new(),
     }
-    all.extend(field.mlp.parameters().iter().map(|x| f64::from(*x)));
-    let sky = field.sky.as_ref().unwrap();
-    all.extend(
-        sky.grids()[0]
-            .logits()
-            .iter()
-            .flatten()
-            .map(|x| f64::from(*x)),
+}
+
+/// Accepts the gradient of every path, and rejects it once `break_it` has changed what kind of gradient it is about.
+fn check(scene: &Scene, break_it: impl Fn(&mut [f64])) {
+    for simd in Simd::available() {
+        let mut gradient = scene.dense_gradient(&scene.run(simd));
+        let error = scene.worst_error(&gradient);
+        assert!(error < TOLERANCE, "{simd:?}: relative error {error}");
+        break_it(&mut gradient);
+        let error = scene.worst_error(&gradient);
+        assert!(error > 10.0 * TOLERANCE, "broken, and passes with {error}");
+    }
+}
+
+/// Accepts the scene's gradient and rejects the one of the same scene under other losses, as if a term were forgotten.
+fn check_against(scene: &Scene, forgotten: RayLosses) {
+    let other = Scene {
+        losses: forgotten,
+        ..scene.clone()
+    };
+    let gradient = scene.dense_gradient(&scene.run(Simd::detect()));
+    let error = scene.worst_error(&gradient);
+    assert!(error < TOLERANCE, "relative error {error}");
+    let gradient = other.dense_gradient(&other.run(Simd::detect()));
+    let error = scene.worst_error(&gradient);
+    assert!(
+        error > 10.0 * TOLERANCE,
+        "a forgotten term passes with {error}"
     );
-    all
-}
-
-/// Where each level's densities and features start, then network and sky.
-fn offsets(field: &Field) -> (Vec<(usize, usize)>, usize, usize) {
-    let mut at = 0;
-    let mut levels = Vec::new();
-    for level in &field.levels {
-        let nodes = level.density().len();
-        levels.push((at, at + nodes));
-        at += nodes * (1 + FEATURES);
-    }
-    (levels, at, at + field.mlp.parameters().len())
-}
-
-/// The loss, in f64 and straight from the formulas. Sample points are those of the f32 march, which no parameter moves.
-fn loss(field: &Field, rays: &[TrainRay], samples: &[Vec<RaySample>], p: &[f64]) -> f64 {
-    let sigmoid = |x: f64| 1.0 / (1.0 + (-x).exp());
-    let (levels, mlp_at, sky_at) = offsets(field);
-    let layout = field.mlp.layout();
-    let affine = |w: std::ops::Range<usize>, b: std::ops::Range<usize>, x: &[f64]| -> Vec<f64> {
-        let out = b.len();
-        (0..out)
-            .map(|o| {
-                p[mlp_at + b.start + o]
-                    + (0..x.len())
-                        .map(|i| x[i] * p[mlp_at + w.start + i * out + o])
-                        .sum::<f64>()
-            })
-            .collect()
-    };
-    let mut total = 0.0;
-    for (ray, samples) in rays.iter().zip(samples) {
-        let view = encode_view(ray.ray.direction);
-        let (mut transmittance, mut tau_sum) = (1.0, 0.0);
-        let (mut color, mut own, mut range) = ([0.0; 3], 0.0, 0.0);
-        for sample in samples {
-            let position = ray.ray.at(sample.t);
-            let (mut raw, mut input) = (0.0, vec![0.0; MLP_INPUTS]);
-            for (level, (density_at, features_at)) in field.levels.iter().zip(&levels) {
-                let Some(corners) = level.corners(position) else {
-                    continue;
-                };
-                for (node, weight) in corners.nodes.iter().zip(corners.weights) {
-                    let (node, weight) = (*node as usize, f64::from(weight));
-                    raw += weight * p[density_at + node];
-                    (0..FEATURES)
-                        .for_each(|f| input[f] += weight * p[features_at + node * FEATURES + f]);
-                }
-            }
-            let sigma = (raw + f64::from(field.activation.act_shift)).exp().ln_1p()
-                / f64::from(field.activation.base_voxel_m);
-            let tau = sigma * f64::from(sample.dt);
-            let weight = transmittance * (1.0 - (-tau).exp());
-            transmittance *= (-tau).exp();
-            tau_sum += tau;
-            let error = (f64::from(sample.t) - f64::from(ray.range_m)).abs();
-            let scale = f64::from(LOSSES.depth_scale_m);
-            let huber = if error < scale {
-                error * error / (2.0 * scale)
-            } else {
-                error - scale / 2.0
-            };
-            range += weight * huber.min(f64::from(LOSSES.depth_cap_m));
-            if ray.color_weight > 0.0 {
-                (0..view.len()).for_each(|i| input[FEATURES + i] = f64::from(view[i]));
-                let relu = |x: Vec<f64>| x.into_iter().map(|x| x.max(0.0)).collect::<Vec<_>>();
-                let hidden = relu(affine(layout.w1(), layout.b1(), &input));
-                let hidden = relu(affine(layout.w2(), layout.b2(), &hidden));
-                let out = affine(layout.w3(), layout.b3(), &hidden);
-                for c in 0..3 {
-                    let value = sigmoid(out[c]);
-                    color[c] += weight * value;
-                    // The weight of the per-sample loss is held constant: taken from the f32 forward pass.
-                    own += held_weight(samples, sample) * (value - f64::from(ray.color[c])).powi(2);
-                }
-            }
-        }
-        if ray.color_weight > 0.0 {
-            let texels = field.sky.as_ref().unwrap().grids()[0].texels(ray.ray.direction);
-            for c in 0..3 {
-                let logit: f64 = (0..4)
-                    .map(|i| {
-                        f64::from(texels.weights[i]) * p[sky_at + texels.texels[i] as usize * 3 + c]
-                    })
-                    .sum();
-                color[c] += transmittance
-                    * match ray.backdrop {
-                        Backdrop::Sky | Backdrop::SkyAsIs => sigmoid(logit),
-                        Backdrop::Color(color) => f64::from(color[c]),
-                    };
-            }
-            let squares: f64 = (0..3)
-                .map(|c| (color[c] - f64::from(ray.color[c])).powi(2))
-                .sum();
-            let entropy = -(transmittance * transmittance.ln()
-                + (1.0 - transmittance) * (1.0 - transmittance).ln());
-            total += f64::from(ray.color_weight)
-                * (squares / 3.0
-                    + f64::from(LOSSES.sample_color) * own
-                    + f64::from(LOSSES.entropy) * entropy);
-        }
-        if ray.range_weight > 0.0 {
-            total += f64::from(ray.range_weight)
-                * (range + transmittance * f64::from(LOSSES.depth_cap_m));
-        }
-        total += f64::from(ray.silhouette_weight)
-            * match ray.silhouette {
-                Silhouette::Unknown => 0.0,
-                Silhouette::Opaque => -(1.0 - (-tau_sum).exp()).ln(),
-                Silhouette::Transparent => tau_sum,
-            };
-    }
-    total
-}
-
-fn held_weight(samples: &[RaySample], of: &RaySample) -> f64 {
-    let before: f64 = samples
-        .iter()
-        .take_while(|s| s.t < of.t)
-        .map(|s| f64::from(s.sigma * s.dt))
-        .sum();
-    (-before).exp() * (1.0 - (-f64::from(of.sigma * of.dt)).exp())
-}
-
-fn run(field: &Field, rays: &[TrainRay], simd: Simd) -> Chunk {
-    let transposed = TransposedWeights::new(&field.mlp);
-    let mut chunk = Chunk::default();
-    let setting = Setting {
-        field,
-        transposed: &transposed,
-        losses: &LOSSES,
-        simd,
-    };
-    chunk.run(setting, rays);
-    chunk
-}
-
-/// The chunk's gradients by all parameters, spread over nodes in the plainest way.
-fn dense_gradient(field: &Field, chunk: &Chunk) -> Vec<f64> {
-    let (levels, mlp_at, sky_at) = offsets(field);
-    let mut out = vec![0.0; parameters(field).len()];
-    for (level, (density_at, features_at)) in field.levels.iter().zip(&levels) {
-        for point in &chunk.points {
-            let Some(corners) = level.corners(point.position) else {
-                continue;
-            };
-            for (node, weight) in corners.nodes.iter().zip(corners.weights) {
-                let (node, weight) = (*node as usize, f64::from(weight));
-                out[density_at + node] += weight * f64::from(point.raw);
-                if point.slot != NO_SLOT {
-                    let row = point.slot as usize * PADDED_FEATURES;
-                    for f in 0..FEATURES {
-                        let gradient = chunk.batch.feature_gradients[row + f];
-                        out[features_at + node * FEATURES + f] += weight * f64::from(gradient);
-                    }
-                }
-            }
-        }
-    }
-    for (i, g) in chunk.batch.parameter_gradients.iter().enumerate() {
-        out[mlp_at + i] = f64::from(*g);
-    }
-    for texel in &chunk.sky {
-        (0..3)
-            .for_each(|c| out[sky_at + texel.texel as usize * 3 + c] += f64::from(texel.logits[c]));
-    }
-    out
-}
-
-/// Largest error of `gradient` against differences, relative to the largest difference of the same kind of parameter.
-fn worst_error(field: &Field, rays: &[TrainRay], gradient: &[f64]) -> f64 {
-    let samples: Vec<Vec<RaySample>> = rays
-        .iter()
-        .map(|ray| {
-            let mut out = Vec::new();
-            let range = MarchRange {
-                t_min: 0.0,
-                t_max: ray.t_max,
-                stop_tau: 6.9,
-                phase: ray.phase,
-            };
-            field.march_ray(ray.ray, range, &mut out);
-            out
-        })
-        .collect();
-    let p = parameters(field);
-    let (levels, mlp_at, sky_at) = offsets(field);
-    let mut bounds = vec![0];
-    levels.iter().for_each(|(d, f)| bounds.extend([*d, *f]));
-    bounds.extend([mlp_at, sky_at, p.len()]);
-    let mut draws = Draws::new(8, 0, 0);
-    let mut worst: f64 = 0.0;
-    for kind in bounds.windows(2).filter(|w| w[1] > w[0]) {
-        let mut moved: Vec<usize> = (kind[0]..kind[1]).filter(|i| gradient[*i] != 0.0).collect();
-        if kind[0] == mlp_at {
-            // The padded fourth output moves no loss.
-            let padded = |i: usize| {
-                let layout = field.mlp.layout();
-                i - mlp_at >= layout.w3().start
-                    && (i - mlp_at - layout.w3().start) % MLP_OUTPUTS == 3
-            };
-            moved.retain(|i| !padded(*i));
-        }
-        assert!(!moved.is_empty());
-        let chosen: Vec<usize> = (0..24).map(|_| moved[draws.below(moved.len())]).collect();
-        let numeric: Vec<f64> = chosen
-            .iter()
-            .map(|i| {
-                let mut p = p.clone();
-                p[*i] += H;
-                let high = loss(field, rays, &samples, &p);
-                p[*i] -= 2.0 * H;
-                (high - loss(field, rays, &samples, &p)) / (2.0 * H)
-            })
-            .collect();
-        let scale = numeric.iter().fold(1e-12, |m: f64, x| m.max(x.abs()));
-        for (i, n) in chosen.iter().zip(&numeric) {
-            worst = worst.max((gradient[*i] - n).abs() / scale);
-        }
-    }
-    worst
 }
 
 #[test]
 fn the_renderers_gradient_is_right_on_every_path_and_a_broken_one_is_rejected() {
-    let (field, rays) = (field(), rays());
-    for simd in Simd::available() {
-        let mut gradient = dense_gradient(&field, &run(&field, &rays, simd));
-        let error = worst_error(&field, &rays, &gradient);
-        assert!(error < TOLERANCE, "{simd:?}: relative error {error}");
-        // Broken: the gradient by density a tenth too large.
-        let (levels, ..) = offsets(&field);
-        gradient[levels[0].0..levels[0].1]
+    let scene = scene(LOSSES);
+    let (density, features) = offsets(&scene.field).levels[0];
+    // Broken: the gradient by density a tenth too large.
+    check(&scene, |gradient| {
+        gradient[density..features]
             .iter_mut()
             .for_each(|g| *g *= 1.1);
-        assert!(worst_error(&field, &rays, &gradient) > 10.0 * TOLERANCE);
+    });
+}
+
+#[test]
+fn distortion_goes_through_the_whole_renderer() {
+    let losses = RayLosses {
+        distortion: 0.5,
+        ..LOSSES
+    };
+    check_against(&scene(losses), LOSSES);
+}
+
+#[test]
+fn the_papers_depth_goes_through_the_whole_renderer() {
+    let losses = RayLosses {
+        depth: DepthForm::CompositedL1,
+        ..LOSSES
+    };
+    check_against(&scene(losses), LOSSES);
+}
+
+#[test]
+fn the_printed_rectified_loss_goes_through_the_whole_renderer() {
+    let losses = RayLosses {
+        rectified: Rectified::Printed,
+        ..LOSSES
+    };
+    check_against(&scene(losses), LOSSES);
+}
+
+/// Corrections as large as an annotated cuboid jitters, and every other ray mirrored.
+fn corrected_scene() -> Scene {
+    let mut draws = Draws::new(9, 0, 0);
+    let mut scene = scene(LOSSES);
+    for (number, ray) in scene.rays.iter_mut().enumerate() {
+        ray.view = number as u32 / 2;
+        ray.mirrored = number % 2 == 1;
     }
+    scene.corrections = (0..3)
+        .map(|_| {
+            let mut three = |most: f64| std::array::from_fn(|_| draws.jitter(most) as f32);
+            ViewCorrection {
+                exposure: Exposure {
+                    log_gain: three(0.3),
+                    bias: three(0.1),
+                },
+                pose: PoseCorrection {
+                    rotation: Quat::from_scaled_axis(Vec3::from(three(0.05))),
+                    translation_m: three(0.05).into(),
+                },
+            }
+        })
+        .collect();
+    scene
+}
+
+#[test]
+fn exposure_and_pose_gradients_are_right_and_a_wrong_arm_or_mirror_is_rejected() {
+    let scene = corrected_scene();
+    let views = offsets(&scene.field).views;
+    // Broken: rotations about the wrong side.
+    check(&scene, |gradient| {
+        for view in gradient[views..].chunks_exact_mut(12) {
+            view[6..9].iter_mut().for_each(|g| *g = -*g);
+        }
+    });
+    // Broken: mirrored rays taken for recorded ones.
+    let mut unmirrored = scene.clone();
+    for (ray, mirrored) in unmirrored.rays.iter_mut().zip(scene.corrected_rays()) {
+        *ray = TrainRay {
+            ray: mirrored.ray,
+            mirrored: false,
+            ..*ray
+        };
+    }
+    unmirrored
+        .corrections
+        .iter_mut()
+        .for_each(|c| c.pose = PoseCorrection::default());
+    let gradient = unmirrored.dense_gradient(&unmirrored.run(Simd::detect()));
+    assert!(scene.worst_error(&gradient) > 10.0 * TOLERANCE);
+}
+
+#[test]
+fn a_mirrored_ray_is_corrected_where_it_was_recorded() {
+    let pose = PoseCorrection {
+        rotation: Quat::from_rotation_z(0.3),
+        translation_m: Vec3::new(0.1, 0.2, 0.0),
+    };
+    let reflect = |v: Vec3| Vec3::new(v.x, -v.y, v.z);
+    let ray = Ray {
+        origin: Vec3::new(3.0, 1.0, 0.5),
+        direction: Vec3::new(-0.8, -0.6, 0.0),
+    };
+    let mirror = Ray {
+        origin: reflect(ray.origin),
+        direction: reflect(ray.direction),
+    };
+    let (plain, mirrored) = (pose.apply(ray, false), pose.apply(mirror, true));
+    assert!(plain.origin.distance(reflect(mirrored.origin)) < 1e-6);
+    assert!(plain.direction.distance(reflect(mirrored.direction)) < 1e-6);
+    assert!(plain.origin.distance(ray.origin) > 0.1);
+}
+
+#[test]
+fn learned_corrections_have_mean_identity_and_follow_the_views() {
+    let mut scene = scene(LOSSES);
+    let shown: Vec<Ray> = scene.rays.iter().map(|ray| ray.ray).collect();
+    let shown = render_rays(&scene.field, &shown);
+    for ((number, ray), shown) in (0u32..).zip(&mut scene.rays).zip(shown) {
+        ray.view = number % 3;
+        // View 1 was recorded half as bright again.
+        let gain = if ray.view == 1 { 1.5 } else { 1.0 };
+        ray.color = shown.color.map(|c| c * gain);
+        ray.color_weight = 0.2;
+        ray.backdrop = Backdrop::SkyAsIs;
+    }
+    let rates = Rates {
+        exposure: 0.01,
+        pose_m: 1e-4,
+        ..Rates::default()
+    };
+    let mut trainer = CpuTrainer::new(scene.field.clone(), Simd::detect());
+    for _ in 0..200 {
+        trainer.step(&scene.rays, &scene.losses, rates);
+    }
+    let views = trainer.view_corrections();
+    assert_eq!(views.len(), 3);
+    let level = |c: &ViewCorrection| {
+        let corrected = c.exposure.apply([0.4; 3]);
+        corrected.iter().sum::<f32>() / 3.0
+    };
+    assert!(
+        level(&views[1]) > 1.2 * level(&views[0]).max(level(&views[2])),
+        "{views:?}"
+    );
+    let gains: f32 = views.iter().flat_map(|v| v.exposure.log_gain).sum();
+    let shift: Vec3 = views.iter().map(|v| v.pose.translation_m).sum();
+    assert!(
+        gains.abs() < 1e-4 && shift.length() < 1e-4,
+        "{gains} {shift}"
+    );
+    assert_eq!(parameters(trainer.field()), parameters(&scene.field));
+}
+
+#[test]
+fn nothing_is_corrected_unless_a_rate_asks_for_it() {
+    let scene = scene(LOSSES);
+    let mut trainer = CpuTrainer::new(scene.field.clone(), Simd::detect());
+    trainer.step(&scene.rays, &scene.losses, Rates::default());
+    assert!(trainer.view_corrections().is_empty());
 }
 
 #[test]
 fn a_step_moves_every_node_against_its_summed_gradient() {
-    let (field, rays) = (field(), rays());
-    let gradient = dense_gradient(&field, &run(&field, &rays, Simd::detect()));
-    let before = parameters(&field);
-    let (levels, ..) = offsets(&field);
-    let mut trainer = CpuTrainer::new(field, Simd::detect());
+    let scene = scene(LOSSES);
+    let gradient = scene.dense_gradient(&scene.run(Simd::detect()));
+    let before = parameters(&scene.field);
+    let levels = offsets(&scene.field).levels;
+    let mut trainer = CpuTrainer::new(scene.field, Simd::detect());
     let rates = Rates {
         density: 0.01,
         features: 0.01,
@@ -378,7 +319,7 @@ fn a_step_moves_every_node_against_its_summed_gradient() {
         sky: 0.0,
         ..Rates::default()
     };
-    trainer.step(&rays, &LOSSES, rates);
+    trainer.step(&scene.rays, &LOSSES, rates);
     let after = parameters(trainer.field());
     let mut checked = 0;
     for (density_at, features_at) in levels {

@@ -7,6 +7,8 @@ use super::chunk::{Chunk, Setting};
 use super::mlp::TransposedWeights;
 use super::scatter::LevelOptimizer;
 use super::simd::Simd;
+use super::variation::Smoother;
+use super::view_corrections::{ViewCorrection, ViewOptimizer};
 use crate::field::Field;
 use crate::train::ray::{Rates, RayLosses, StepSums, TrainRay};
 
@@ -21,6 +23,8 @@ pub struct CpuTrainer {
     levels: Vec<LevelOptimizer>,
     mlp: Adam,
     sky: SkyOptimizer,
+    views: ViewOptimizer,
+    smoother: Smoother,
     mlp_gradients: Vec<f32>,
     chunks: Vec<Chunk>,
     sums: StepSums,
@@ -34,6 +38,8 @@ impl CpuTrainer {
             levels: vec![LevelOptimizer::default(); field.levels.len()],
             mlp: Adam::default(),
             sky: SkyOptimizer::default(),
+            views: ViewOptimizer::default(),
+            smoother: Smoother::default(),
             mlp_gradients: Vec::new(),
             chunks: Vec::new(),
             sums: StepSums::default(),
@@ -48,6 +54,11 @@ impl CpuTrainer {
 
     pub fn into_field(self) -> Field {
         self.field
+    }
+
+    /// Corrections of the views by number, for those that had a ray while their rates were not 0.
+    pub fn view_corrections(&self) -> &[ViewCorrection] {
+        self.views.views()
     }
 
     /// Changes the occupancy or adds bricks between steps. Removing bricks is [`Self::retain_bricks`].
@@ -66,10 +77,12 @@ impl CpuTrainer {
     pub fn step(&mut self, rays: &[TrainRay], losses: &RayLosses, rates: Rates) -> &StepSums {
         let count = rays.len().div_ceil(RAYS_PER_CHUNK);
         self.chunks.resize_with(count, Chunk::default);
+        self.views.prepare(rays, rates);
         let setting = Setting {
             field: &self.field,
             transposed: &self.transposed,
             losses,
+            corrections: self.views.corrections(),
             simd: self.simd,
         };
         let chunks = &mut self.chunks;
@@ -82,12 +95,12 @@ impl CpuTrainer {
             .iter()
             .for_each(|chunk| self.sums.add(&chunk.sums));
         if self.sums.loss.is_finite() {
-            self.apply(rates);
+            self.apply(losses, rates);
         }
         &self.sums
     }
 
-    fn apply(&mut self, rates: Rates) {
+    fn apply(&mut self, losses: &RayLosses, rates: Rates) {
         for (number, (level, optimizer)) in self
             .field
             .levels
@@ -97,6 +110,10 @@ impl CpuTrainer {
         {
             optimizer.step(level, number, &self.chunks, rates, self.simd);
         }
+        if losses.density_variation > 0.0 || losses.feature_variation > 0.0 {
+            self.smooth(losses, rates);
+        }
+        self.views.step(&self.chunks, losses, rates);
         self.mlp_gradients.clear();
         self.mlp_gradients
             .resize(self.field.mlp.parameters().len(), 0.0);
@@ -113,6 +130,19 @@ impl CpuTrainer {
         self.transposed.update(&self.field.mlp);
         if let Some(sky) = &mut self.field.sky {
             self.sky.step(sky, &self.chunks, rates.sky);
+        }
+    }
+
+    /// Takes the variation's step on every brick that the chunks touched.
+    fn smooth(&mut self, losses: &RayLosses, rates: Rates) {
+        for (number, level) in self.field.levels.iter_mut().enumerate() {
+            let touched = self.chunks.iter().flat_map(|chunk| &chunk.touched[number]);
+            self.smoother.smooth(
+                level,
+                touched.map(|(brick, _)| *brick),
+                rates.density * losses.density_variation,
+                rates.features * losses.feature_variation,
+            );
         }
     }
 }
