@@ -15,6 +15,14 @@ pub enum Distortion {
 }
 
 impl Distortion {
+    pub fn is_finite(&self) -> bool {
+        match self {
+            Self::None => true,
+            Self::BrownConrady { k } => k.iter().all(|k| k.is_finite()),
+            Self::KannalaBrandt { k } => k.iter().all(|k| k.is_finite()),
+        }
+    }
+
     /// Distorts normalised coordinates.
     pub fn distort(&self, n: DVec2) -> DVec2 {
         match *self {

@@ -20,7 +20,7 @@ pub struct Camera {
 }
 
 impl Camera {
-    /// Checks sizes, focal lengths and finiteness.
+    /// Checks sizes, focal lengths and finiteness, distortion included.
     ///
     /// # Errors
     /// [`Error::Invalid`] naming the field; `context` is put in front, e.g. "camera image_02".
@@ -42,6 +42,12 @@ impl Camera {
             return Err(Error::invalid(format!(
                 "{context}: principal point {} must be finite",
                 self.principal_px
+            )));
+        }
+        if !self.distortion.is_finite() {
+            return Err(Error::invalid(format!(
+                "{context}: distortion {:?} must be finite",
+                self.distortion
             )));
         }
         Ok(())

@@ -198,6 +198,19 @@ impl Lattice {
         Some(self.index[cell])
     }
 
+    /// Stores a zero brick at every position that has none, x fastest.
+    pub(crate) fn allocate_all(&mut self) {
+        let bricks = self.bricks;
+        self.reserve(bricks.as_u64vec3().element_product() as usize);
+        for z in 0..bricks.z as u16 {
+            for y in 0..bricks.y as u16 {
+                for x in 0..bricks.x as u16 {
+                    self.allocate([x, y, z]);
+                }
+            }
+        }
+    }
+
     /// Makes room for `additional` bricks without over-allocating.
     pub fn reserve(&mut self, additional: usize) {
         self.positions.reserve_exact(additional);

@@ -4,6 +4,7 @@ use glam::{DVec3, UVec3, Vec3};
 use rayon::prelude::*;
 
 use super::control::{Progress, Stage, TrainControl};
+use super::dense_box::dense_box;
 use super::fit::{fit, measured};
 use super::free_space::{FreeSpace, Visibility};
 use super::input::{BackgroundInput, Trained};
@@ -12,7 +13,7 @@ use super::refine::field_bytes;
 use super::sampler::Sampler;
 use super::seed::{CELL_VOXELS, CellSet, seed_density, store_around_points};
 use super::survey::survey;
-use super::validate::{validate_points, validate_views};
+use super::validate::{require_foreground, validate_points, validate_preset, validate_views};
 use crate::field::{ColorMlp, DensityActivation, Field, Lattice, Occupancy, SkyGrid, SkyMap};
 use crate::scene::Draws;
 use crate::view::Split;
@@ -41,7 +42,9 @@ pub fn train_background(
     seed: u64,
     control: &dyn TrainControl,
 ) -> Result<Trained> {
+    validate_preset("background", preset)?;
     validate_views("background", &input.views)?;
+    require_foreground("background", &input.views)?;
     validate_points("background", "lidar_points", &input.lidar_points)?;
     if input.ego_path.is_empty() || !input.ego_path.iter().all(|p| p.is_finite()) {
         return Err(Error::invalid(
@@ -74,13 +77,12 @@ fn prepare(
     seed: u64,
     allowed: &(dyn Fn(Vec3, usize) -> bool + Sync),
 ) -> Result<Field> {
+    if preset.options.dense_voxels > 0 {
+        return prepare_dense(input, preset, seed);
+    }
     let (low, high) = bounds(input, preset.box_reach_m);
     let mut field = empty_field(low, high, preset, seed)?;
-    field.sky = Some(SkyMap::new(
-        SKY_GRIDS
-            .map(|(width, height)| SkyGrid::new(width, height))
-            .to_vec(),
-    ));
+    field.sky = Some(sky_map());
     let points: Vec<Vec3> = input.lidar_points.iter().map(|p| Vec3::from(*p)).collect();
     let near = CellSet::around_points(&field, &points);
     let free = FreeSpace::new(&input.views);
@@ -116,6 +118,34 @@ fn prepare(
         near.contains(centre) || cubes.contains(centre)
     });
     Ok(field)
+}
+
+/// One level with every brick of a flat box; what the views prove to be free is only marked so.
+fn prepare_dense(input: &BackgroundInput, preset: &TrainPreset, seed: u64) -> Result<Field> {
+    let (low, high, voxel_m) = dense_box(preset, |reach_m| bounds(input, reach_m))?;
+    let preset = TrainPreset {
+        voxels_m: vec![voxel_m],
+        ..preset.clone()
+    };
+    let mut field = empty_field(low, high, &preset, seed)?;
+    field.sky = Some(sky_map());
+    for level in &mut field.levels {
+        level.allocate_all();
+    }
+    let points: Vec<Vec3> = input.lidar_points.iter().map(|p| Vec3::from(*p)).collect();
+    seed_density(&mut field, &points, preset.seed_sigma);
+    let near = CellSet::around_points(&field, &points);
+    let possible = possible_cubes(&FreeSpace::new(&input.views), low, high);
+    let cubes = CellSet::of_cubes(&field, &possible, CUBE_M);
+    field.occupancy = survey(&field, |centre, _| {
+        near.contains(centre) || cubes.contains(centre)
+    });
+    Ok(field)
+}
+
+fn sky_map() -> SkyMap {
+    let grids = SKY_GRIDS.map(|(width, height)| SkyGrid::new(width, height));
+    SkyMap::new(grids.to_vec())
 }
 
 /// A field without bricks over the box from `low` to `high`.

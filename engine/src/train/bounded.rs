@@ -7,10 +7,11 @@ use super::control::{Progress, Stage, TrainControl};
 use super::fit::{fit, measured};
 use super::input::{BoundedInput, Trained};
 use super::preset::TrainPreset;
-use super::refine::field_bytes;
 use super::sampler::Sampler;
 use super::survey::survey;
-use super::validate::validate_views;
+use super::validate::{
+    require_foreground, require_memory, require_seen, validate_preset, validate_views,
+};
 use crate::camera::Camera;
 use crate::field::Field;
 use crate::view::{Split, TrainView};
@@ -92,7 +93,9 @@ pub fn train_bounded(
     seed: u64,
     control: &dyn TrainControl,
 ) -> Result<Trained> {
+    validate_preset("scene", preset)?;
     validate_views("scene", &input.views)?;
+    require_foreground("scene", &input.views)?;
     let sound = input.low_m.is_finite()
         && input.high_m.is_finite()
         && input.low_m.cmplt(input.high_m).all();
@@ -100,6 +103,13 @@ pub fn train_bounded(
         return Err(Error::invalid(format!(
             "scene: the box from {} to {} is empty or not finite",
             input.low_m, input.high_m
+        )));
+    }
+    require_seen("scene", &input.views, input.low_m, input.high_m)?;
+    if !input.backdrop.iter().all(|c| (0.0..=1.0).contains(c)) {
+        return Err(Error::invalid(format!(
+            "scene: backdrop {:?} must lie in 0..1",
+            input.backdrop
         )));
     }
     control.progress(Progress {
@@ -124,24 +134,9 @@ pub fn train_bounded(
 fn prepare(input: &BoundedInput, preset: &TrainPreset, seed: u64) -> Result<Field> {
     let (low, high) = (input.low_m.as_vec3(), input.high_m.as_vec3());
     let mut field = empty_field(low, high, preset, seed)?;
+    require_memory("the scene's voxels", &field, 1, preset)?;
     if let Some(level) = field.levels.first_mut() {
-        let bricks = level.bricks_per_axis();
-        for number in 0..bricks.element_product() {
-            let at = UVec3::new(
-                number % bricks.x,
-                number / bricks.x % bricks.y,
-                number / (bricks.x * bricks.y),
-            );
-            level.allocate(at.to_array().map(|c| c as u16));
-        }
-    }
-    let needed = field_bytes(&field);
-    if needed > preset.memory_bytes {
-        return Err(Error::OutOfMemory {
-            what: "the scene's voxels",
-            needed_bytes: needed,
-            available_bytes: preset.memory_bytes,
-        });
+        level.allocate_all();
     }
     field.occupancy = survey(&field, |_: Vec3, _| true);
     Ok(field)

@@ -69,6 +69,10 @@ pub(super) fn fit(
             solid_teaches_sky: done >= preset.solid_sky_from,
             ..preset.mix
         };
+        losses.min_weight = preset
+            .options
+            .min_weight(step)
+            .unwrap_or(preset.losses.min_weight);
         sampler.draw(step, &mix, &mut rays);
         let sums = trainer.step(&rays, &losses, rates_at(preset, done));
         if !sums.loss.is_finite() {
@@ -140,7 +144,11 @@ fn affordable_rays(preset: &TrainPreset, colored: u64, rays: u64) -> usize {
 
 /// Exponential decay, as DVGO's.
 fn rates_at(preset: &TrainPreset, done: f64) -> Rates {
-    preset.rates.scaled(preset.rate_decay.powf(done as f32))
+    let mut rates = preset.rates.scaled(preset.rate_decay.powf(done as f32));
+    if done < preset.options.poses_from {
+        rates.pose_m = 0.0;
+    }
+    rates
 }
 
 /// The value below which the share `q` of `values` lies; infinite for none.

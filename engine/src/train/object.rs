@@ -1,17 +1,18 @@
 //! Fits an object in the frame of its cuboid.
 
-use glam::{DVec3, UVec3, Vec3};
+use glam::{DVec3, Vec3};
 
 use super::background::empty_field;
 use super::control::{Progress, Stage, TrainControl};
 use super::fit::{fit, measured};
 use super::input::{ObjectInput, Trained};
 use super::preset::TrainPreset;
-use super::refine::field_bytes;
 use super::sampler::Sampler;
 use super::seed::seed_density;
 use super::survey::survey;
-use super::validate::{validate_points, validate_views};
+use super::validate::{
+    require_foreground, require_memory, validate_points, validate_preset, validate_views,
+};
 use crate::field::Field;
 use crate::{Error, Result};
 
@@ -40,7 +41,9 @@ pub fn train_object(
     seed: u64,
     control: &dyn TrainControl,
 ) -> Result<Trained> {
+    validate_preset("object", preset)?;
     validate_views("object", &input.views)?;
+    require_foreground("object", &input.views)?;
     validate_points("object", "lidar_points", &input.lidar_points)?;
     let size_ok = input.size_m.is_finite()
         && input.size_m.min_element() > 0.0
@@ -74,24 +77,9 @@ pub fn train_object(
 /// All bricks of the box, and density at the returns. The box is small, so nothing is left out.
 fn prepare(input: &ObjectInput, half_m: DVec3, preset: &TrainPreset, seed: u64) -> Result<Field> {
     let mut field = empty_field(-half_m.as_vec3(), half_m.as_vec3(), preset, seed)?;
+    require_memory("the object's voxels", &field, field.levels.len(), preset)?;
     for level in &mut field.levels {
-        let bricks = level.bricks_per_axis();
-        for number in 0..bricks.element_product() {
-            let at = UVec3::new(
-                number % bricks.x,
-                number / bricks.x % bricks.y,
-                number / (bricks.x * bricks.y),
-            );
-            level.allocate(at.to_array().map(|c| c as u16));
-        }
-    }
-    let needed = field_bytes(&field);
-    if needed > preset.memory_bytes {
-        return Err(Error::OutOfMemory {
-            what: "the object's voxels",
-            needed_bytes: needed,
-            available_bytes: preset.memory_bytes,
-        });
+        level.allocate_all();
     }
     let mut points: Vec<Vec3> = input.lidar_points.iter().map(|p| Vec3::from(*p)).collect();
     if input.symmetric {

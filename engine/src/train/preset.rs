@@ -1,5 +1,6 @@
 //! Training settings.
 
+use super::options::TrainOptions;
 use super::ray::{Rates, RayLosses};
 use super::sampler::RayMix;
 
@@ -9,6 +10,7 @@ pub enum Budget {
     /// The demo's: minutes for everything on two cores.
     Quick,
     Standard,
+    /// The constants of the paper: [`TrainPreset::paper_background`] and [`TrainPreset::paper_object`], hours.
     Paper,
 }
 
@@ -72,6 +74,7 @@ pub struct TrainPreset {
     pub surveys: Surveys,
     /// Opacity over one finest voxel from which a cell counts as occupied.
     pub survey_alpha: f32,
+    pub options: TrainOptions,
 }
 
 /// `fast`: finest voxel in pixels, and the most of them along an edge.
@@ -83,7 +86,7 @@ impl TrainPreset {
         let (steps, most_passes) = match budget {
             Budget::Quick => (1_400, 8.0),
             Budget::Standard => (8_000, 40.0),
-            Budget::Paper => (40_000, f64::INFINITY),
+            Budget::Paper => return Self::paper_background(),
         };
         Self {
             voxels_m: vec![1.6, 0.4, 0.1],
@@ -130,6 +133,7 @@ impl TrainPreset {
             },
             surveys: Surveys::AtFractions(vec![0.1, 0.25, 0.5]),
             survey_alpha: 5e-3,
+            options: TrainOptions::default(),
         }
     }
 
@@ -182,6 +186,7 @@ impl TrainPreset {
             },
             surveys: Surveys::AtSteps(vec![64, 128, 256, 512, 1024, 2048, 4096]),
             survey_alpha: 1e-2,
+            options: TrainOptions::default(),
         }
     }
 
@@ -189,7 +194,7 @@ impl TrainPreset {
         let (steps, most_passes) = match budget {
             Budget::Quick => (600, 40.0),
             Budget::Standard => (3_000, 200.0),
-            Budget::Paper => (10_000, f64::INFINITY),
+            Budget::Paper => return Self::paper_object(),
         };
         Self {
             voxels_m: vec![0.2, 0.1, 0.05],
@@ -236,6 +241,7 @@ impl TrainPreset {
             },
             surveys: Surveys::AtFractions(vec![0.15, 0.4, 0.7]),
             survey_alpha: 5e-3,
+            options: TrainOptions::default(),
         }
     }
 }

@@ -1,7 +1,18 @@
 //! Checks of training input before the first step.
 
+use glam::{DVec2, DVec3, Vec3};
+
+use super::preset::TrainPreset;
+use super::refine::BRICK_BYTES;
+use crate::camera::Camera;
+use crate::field::{ColorMlp, Field};
 use crate::view::{PixelLabel, Split, TrainView};
 use crate::{Error, Result};
+
+/// Farther from the local origin than this, f32 positions are coarser than a voxel.
+const FAR_M: f64 = 1e5;
+/// Points per axis at which a box is looked for in the images.
+const BOX_POINTS: u32 = 9;
 
 /// Checks every view; `kind` names the job in messages.
 pub(super) fn validate_views(kind: &str, views: &[TrainView]) -> Result<()> {
@@ -13,6 +24,13 @@ pub(super) fn validate_views(kind: &str, views: &[TrainView]) -> Result<()> {
                 "{frame}: local_from_camera is not finite"
             )));
         }
+        let away_m = view.local_from_camera.translation_m.length();
+        if away_m > FAR_M {
+            return Err(Error::invalid(format!(
+                "{frame}: local_from_camera is {away_m:.0} m from the local origin; anchor the local frame near the log"
+            )));
+        }
+        validate_directions(&frame, &view.camera)?;
         if (view.local_from_camera.rotation.length() - 1.0).abs() > 1e-6 {
             return Err(Error::invalid(format!(
                 "{frame}: local_from_camera.rotation is not a unit quaternion"
@@ -49,6 +67,22 @@ pub(super) fn validate_views(kind: &str, views: &[TrainView]) -> Result<()> {
     Ok(())
 }
 
+/// Every corner's ray exists: finite figures alone may still be a lens that maps no direction to a pixel.
+fn validate_directions(frame: &str, camera: &Camera) -> Result<()> {
+    let size = DVec2::new(f64::from(camera.width), f64::from(camera.height));
+    for corner in 0..4u32 {
+        let share = DVec2::new(f64::from(corner & 1), f64::from(corner >> 1));
+        let direction = camera.direction(size * share);
+        if !direction.is_finite() || direction.z <= 0.0 {
+            return Err(Error::invalid(format!(
+                "{frame}: camera: no ray passes through pixel {}; its focal length, principal point or distortion is singular",
+                size * share
+            )));
+        }
+    }
+    Ok(())
+}
+
 fn validate_depth(frame: &str, view: &TrainView) -> Result<()> {
     for (number, depth) in view.depth.iter().enumerate() {
         let [x, y] = depth.pixel;
@@ -69,6 +103,105 @@ pub(super) fn validate_points(kind: &str, field: &str, points: &[[f32; 3]]) -> R
         Some(number) => Err(Error::invalid(format!(
             "{kind}: {field}[{number}] is not finite"
         ))),
-        None => Ok(()),
+        None => match points
+            .iter()
+            .position(|p| Vec3::from(*p).length() > FAR_M as f32)
+        {
+            Some(number) => Err(Error::invalid(format!(
+                "{kind}: {field}[{number}] is more than {FAR_M:.0} m from the local origin"
+            ))),
+            None => Ok(()),
+        },
+    }
+}
+
+/// Checks the figures that a field is built from; `kind` names the job in messages.
+pub(super) fn validate_preset(kind: &str, preset: &TrainPreset) -> Result<()> {
+    let bad = |what: String| Err(Error::invalid(format!("{kind}: preset: {what}")));
+    let positive = |x: &f32| x.is_finite() && *x > 0.0;
+    if preset.voxels_m.is_empty() || !preset.voxels_m.iter().all(positive) {
+        return bad(format!("voxels_m {:?} must be positive", preset.voxels_m));
+    }
+    if preset.level_reach_m.len() != preset.voxels_m.len() {
+        return bad("level_reach_m must have one entry per level".to_owned());
+    }
+    if !ColorMlp::WIDTHS.contains(&preset.mlp_width) {
+        return bad(format!("mlp_width {} has no kernel", preset.mlp_width));
+    }
+    if preset.steps == 0 || preset.mix.pixel_rays == 0 {
+        return bad("steps and mix.pixel_rays must not be 0".to_owned());
+    }
+    if !(preset.alpha_init > 0.0 && preset.alpha_init < 1.0) {
+        return bad(format!(
+            "alpha_init {} must lie between 0 and 1",
+            preset.alpha_init
+        ));
+    }
+    Ok(())
+}
+
+/// Refuses a field whose first `levels` levels would need more than the preset's memory if every brick were stored, before any is.
+pub(super) fn require_memory(
+    what: &'static str,
+    field: &Field,
+    levels: usize,
+    preset: &TrainPreset,
+) -> Result<()> {
+    let bricks = field.levels.iter().take(levels);
+    let bricks: u64 = bricks
+        .map(|level| level.bricks_per_axis().as_u64vec3().element_product())
+        .sum();
+    if bricks * BRICK_BYTES > preset.memory_bytes {
+        return Err(Error::OutOfMemory {
+            what,
+            needed_bytes: bricks * BRICK_BYTES,
+            available_bytes: preset.memory_bytes,
+        });
+    }
+    Ok(())
+}
+
+/// Refuses a box of which no training image shows anything.
+pub(super) fn require_seen(
+    kind: &str,
+    views: &[TrainView],
+    low_m: DVec3,
+    high_m: DVec3,
+) -> Result<()> {
+    let at = |number: u32| {
+        let step = DVec3::new(
+            f64::from(number % BOX_POINTS),
+            f64::from(number / BOX_POINTS % BOX_POINTS),
+            f64::from(number / BOX_POINTS / BOX_POINTS),
+        );
+        low_m + (high_m - low_m) * step / f64::from(BOX_POINTS - 1)
+    };
+    let seen = |view: &TrainView| {
+        let camera_from_local = view.local_from_camera.inverse();
+        let size = DVec2::new(f64::from(view.camera.width), f64::from(view.camera.height));
+        (0..BOX_POINTS.pow(3)).any(|number| {
+            let pixel = view.camera.project(camera_from_local.point(at(number)));
+            pixel.is_some_and(|p| p.cmpge(DVec2::ZERO).all() && p.cmplt(size).all())
+        })
+    };
+    let mut train = views.iter().filter(|view| view.split == Split::Train);
+    if train.any(seen) {
+        Ok(())
+    } else {
+        Err(Error::invalid(format!(
+            "{kind}: no training camera sees the box from {low_m} to {high_m}"
+        )))
+    }
+}
+
+/// Refuses views none of whose training pixels shows the object or scene itself.
+pub(super) fn require_foreground(kind: &str, views: &[TrainView]) -> Result<()> {
+    let mut train = views.iter().filter(|view| view.split == Split::Train);
+    if train.any(|view| view.labels.contains(&PixelLabel::Foreground)) {
+        Ok(())
+    } else {
+        Err(Error::invalid(format!(
+            "{kind}: no ray is left, no training view has a pixel labelled foreground"
+        )))
     }
 }

@@ -1,0 +1,41 @@
+//! Settings that few presets use. All off by default.
+
+/// What a preset may ask for besides its figures.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct TrainOptions {
+    /// Backgrounds: one level, every voxel of a flat box stored, at most this many; the voxel size is the least in
+    /// `dense_voxel_m` for which the box fits, and the box shrinks towards the path if none does. 0 stores bricks.
+    pub dense_voxels: u64,
+    /// Least and greatest voxel edge of a dense box in metres.
+    pub dense_voxel_m: (f64, f64),
+    /// `(step, weight)`, ascending: from this step on, lighter samples take no part in colour. Before the first entry
+    /// [`super::ray::RayLosses::min_weight`] holds. Untouched space is coloured at first and must not stay so, and a
+    /// threshold that is high from the start would keep it from ever being coloured.
+    pub min_weights: Vec<(u64, f32)>,
+    /// Fraction of the run from which poses are refined: before there is a shape, there is nothing to align with.
+    pub poses_from: f64,
+}
+
+impl TrainOptions {
+    /// The weight below which samples are not coloured at `step`.
+    pub fn min_weight(&self, step: u64) -> Option<f32> {
+        let begun = self.min_weights.iter().rev().find(|(at, _)| step >= *at);
+        begun.map(|(_, weight)| *weight)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn thresholds_follow_the_steps() {
+        let options = TrainOptions {
+            min_weights: vec![(10, 1e-5), (20, 1e-4)],
+            ..TrainOptions::default()
+        };
+        let at = [0, 10, 19, 20, 1_000].map(|step| options.min_weight(step));
+        assert_eq!(at, [None, Some(1e-5), Some(1e-5), Some(1e-4), Some(1e-4)]);
+        assert_eq!(TrainOptions::default().min_weight(5), None);
+    }
+}
