@@ -33,7 +33,7 @@ impl Asset {
             return Err(newer(header.format_version));
         }
         let layout: FieldLayout = json(&metadata, FIELD_KEY)?;
-        let field = read_field(&tensors, &layout)?;
+        let field = read_field(&tensors, &layout, header.format_version)?;
         Ok(Self { header, field })
     }
 }
@@ -105,19 +105,24 @@ fn json<T: serde::de::DeserializeOwned>(metadata: &Metadata, key: &str) -> Resul
     serde_json::from_str(text).map_err(|e| corrupt(format!("{key}: {e}")))
 }
 
-fn read_field(tensors: &SafeTensors<'_>, layout: &FieldLayout) -> Result<Field> {
+fn read_field(tensors: &SafeTensors<'_>, layout: &FieldLayout, version: u32) -> Result<Field> {
     if layout.levels.is_empty() || layout.levels.len() > MAX_LEVELS {
         return Err(corrupt(format!("{} levels", layout.levels.len())));
     }
     let levels = layout.levels.iter().enumerate();
-    let levels = levels.map(|(l, grid)| read_level(tensors, l, grid));
+    let step = match version {
+        1 => None,
+        _ => Some(layout.density_step),
+    };
+    let levels = levels.map(|(l, grid)| read_level(tensors, l, grid, step));
     let bounds_m = layout.bounds_m.map(Vec3::from);
     let sound = bounds_m[0].cmplt(bounds_m[1]).all()
         && bounds_m.iter().all(|corner| corner.is_finite())
         && layout.activation.act_shift.is_finite()
         && layout.activation.base_voxel_m.is_finite()
         && layout.activation.base_voxel_m > 0.0
-        && (0.0..1.0).contains(&layout.step_growth);
+        && (0.0..1.0).contains(&layout.step_growth)
+        && layout.density_step.is_finite();
     if !sound {
         return Err(corrupt(format!("{FIELD_KEY}: numbers out of range")));
     }
@@ -190,22 +195,21 @@ fn positions(tensors: &SafeTensors<'_>, name: &str, extent: UVec3) -> Result<Vec
     Ok(positions)
 }
 
-fn read_level(tensors: &SafeTensors<'_>, l: usize, grid: &GridLayout) -> Result<Lattice> {
+/// `density_step` is that of the rounded values of version 2; version 1 has f16 values.
+fn read_level(
+    tensors: &SafeTensors<'_>,
+    l: usize,
+    grid: &GridLayout,
+    density_step: Option<f32>,
+) -> Result<Lattice> {
     let extent = UVec3::from(grid.extent);
     let mut level = Lattice::with_bricks(grid.cell_m, grid.origin_m.into(), extent)
         .ok_or_else(|| corrupt(format!("level {l}: grid {grid:?}")))?;
     let bricks = positions(tensors, &format!("level{l}.positions"), extent)?;
-    let n = Some(bricks.len());
-    let density = floats(
-        tensors,
-        &format!("level{l}.density"),
-        &[n, Some(BRICK_NODES)],
-    )?;
-    let features = floats(
-        tensors,
-        &format!("level{l}.features"),
-        &[n, Some(BRICK_NODES), Some(FEATURES)],
-    )?;
+    let (density, features) = match density_step {
+        None => half_values(tensors, l, bricks.len())?,
+        Some(step) => stepped_values(tensors, l, bricks.len(), step)?,
+    };
     level.reserve(bricks.len());
     for position in bricks {
         level.allocate(position).expect("positions were checked");
@@ -216,6 +220,42 @@ fn read_level(tensors: &SafeTensors<'_>, l: usize, grid: &GridLayout) -> Result<
         .as_flattened_mut()
         .copy_from_slice(&features);
     Ok(level)
+}
+
+/// Densities and features of version 1: f16.
+fn half_values(tensors: &SafeTensors<'_>, l: usize, n: usize) -> Result<(Vec<f32>, Vec<f32>)> {
+    let nodes = [Some(n), Some(BRICK_NODES), Some(FEATURES)];
+    Ok((
+        floats(tensors, &format!("level{l}.density"), &nodes[..2])?,
+        floats(tensors, &format!("level{l}.features"), &nodes)?,
+    ))
+}
+
+/// Densities in two planes of bytes, and features with a scale per brick and channel.
+fn stepped_values(
+    tensors: &SafeTensors<'_>,
+    l: usize,
+    n: usize,
+    step: f32,
+) -> Result<(Vec<f32>, Vec<f32>)> {
+    let nodes = [Some(2), Some(n), Some(BRICK_NODES)];
+    let planes = tensor(tensors, &format!("level{l}.density"), Dtype::U8, &nodes)?;
+    let (low, high) = planes.data().split_at(n * BRICK_NODES);
+    let density = low.iter().zip(high);
+    let density = density.map(|(low, high)| f32::from(i16::from_le_bytes([*low, *high])) * step);
+    let scales = format!("level{l}.feature_scales");
+    let scales = floats(tensors, &scales, &[Some(n), Some(FEATURES)])?;
+    let nodes = [Some(n), Some(BRICK_NODES), Some(FEATURES)];
+    let steps = tensor(tensors, &format!("level{l}.features"), Dtype::I8, &nodes)?;
+    let mut features = Vec::with_capacity(n * BRICK_NODES * FEATURES);
+    let bricks = steps.data().chunks_exact(BRICK_NODES * FEATURES);
+    for (brick, scales) in bricks.zip(scales.chunks_exact(FEATURES)) {
+        for node in brick.chunks_exact(FEATURES) {
+            let values = node.iter().zip(scales);
+            features.extend(values.map(|(step, scale)| f32::from(*step as i8) * scale));
+        }
+    }
+    Ok((density.collect(), features))
 }
 
 fn read_sky(tensors: &SafeTensors<'_>, grids: usize) -> Result<Option<SkyMap>> {

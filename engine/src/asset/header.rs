@@ -8,8 +8,8 @@ use crate::class::ObjectClass;
 use crate::quality::{QualityReport, ViewCoverage};
 use crate::scene::{Recording, ValidRegion};
 
-/// Version of the stored format; readers refuse newer ones.
-pub const FORMAT_VERSION: u32 = 1;
+/// Version of the stored format; readers refuse newer ones and read all older ones.
+pub const FORMAT_VERSION: u32 = 2;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "SCREAMING_SNAKE_CASE")]

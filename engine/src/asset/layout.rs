@@ -1,12 +1,13 @@
-//! The stored form of an asset, version 1.
+//! The stored form of an asset, version 2 (docs/asset-format.md).
 //!
 //! A zstd frame around one safetensors file, so that `zstd -d` and any safetensors reader open it:
 //!
 //! | tensor | type | shape | meaning |
 //! |---|---|---|---|
 //! | `level{l}.positions` | U16 | n, 3 | brick positions (x, y, z) of level l, coarse to fine |
-//! | `level{l}.density` | F16 | n, 512 | raw density; node (x, y, z) of a brick at (z * 8 + y) * 8 + x |
-//! | `level{l}.features` | F16 | n, 512, 12 | colour features |
+//! | `level{l}.density` | U8 | 2, n, 512 | raw density in steps, i16: low bytes, then high bytes; node (x, y, z) at (z * 8 + y) * 8 + x |
+//! | `level{l}.features` | I8 | n, 512, 12 | colour features in steps of their scale |
+//! | `level{l}.feature_scales` | F16 | n, 12 | a step of each brick and channel |
 //! | `mlp` | F32 | k | colour network, input-major: w1, b1, w2, b2, w3, b3 |
 //! | `sky{g}` | F16 | height, width, 3 | colour logits of sky grid g, coarse to fine; absent for objects |
 //! | `occupancy.blocks` | U16 | m, 3 | block positions |
@@ -14,7 +15,8 @@
 //! | `occupancy.steps` | F32 | m | step in metres |
 //!
 //! The safetensors metadata has two JSON texts: `backlot.header` ([`super::AssetHeader`]) and `backlot.field` ([`FieldLayout`]).
-//! Bricks that are zero in f16 are not stored: a missing brick contributes 0 anyway.
+//! Bricks whose steps are all 0 are not stored: a missing brick contributes 0 anyway. Version 1 had `density` F16 n, 512 and
+//! `features` F16 n, 512, 12 and no scales; it is still read.
 
 use serde::{Deserialize, Serialize};
 
@@ -40,6 +42,9 @@ pub(super) struct FieldLayout {
     pub sky_grids: usize,
     pub occupancy: GridLayout,
     pub step_growth: f32,
+    /// Raw density of one step; absent in version 1, whose densities are f16.
+    #[serde(default)]
+    pub density_step: f32,
 }
 
 /// A grid of bricks or blocks.

@@ -4,6 +4,7 @@ mod decode;
 mod encode;
 mod header;
 mod layout;
+mod quantize;
 
 #[cfg(test)]
 mod tests;

@@ -1,5 +1,7 @@
 use glam::{DVec3, UVec3, Vec3};
+use half::f16;
 use proptest::prelude::*;
+use safetensors::{Dtype, SafeTensors, tensor::TensorView};
 
 use super::*;
 use crate::camera::Rigid;
@@ -71,7 +73,7 @@ fn header() -> AssetHeader {
 }
 
 #[test]
-fn decodes_to_the_same_header_and_a_field_within_half_precision() {
+fn decodes_to_the_same_header_and_a_field_within_half_a_step() {
     let asset = asset();
     let back = Asset::decode(&asset.encode()).unwrap();
     assert_eq!(back.header, asset.header);
@@ -80,8 +82,13 @@ fn decodes_to_the_same_header_and_a_field_within_half_precision() {
     for i in 0..200 {
         let p = Vec3::new(-1.0, 2.0, -0.5) + Vec3::new(0.0123, 0.0051, 0.0039) * i as f32;
         let (a, b) = (asset.field.raw_density(p), back.field.raw_density(p));
-        // f16 has 11 bits: values up to 10 on two levels are within 2 * 10 * 2^-11.
-        assert!((a - b).abs() < 0.01, "{p}: {a} {b}");
+        // Half a step of 1/32 on each of two levels.
+        assert!((a - b).abs() <= 1.01 / 32.0, "{p}: {a} {b}");
+        let (a, b) = (asset.field.features(p), back.field.features(p));
+        for (a, b) in a.iter().zip(b) {
+            // Values up to 1 in steps of 1/127, on two levels.
+            assert!((a - b).abs() < 1.02 / 127.0, "{p}: {a} {b}");
+        }
     }
 }
 
@@ -118,11 +125,76 @@ fn a_newer_version_is_refused_by_name() {
 }
 
 #[test]
-fn not_finite_parameters_are_refused() {
-    let mut asset = asset();
-    asset.field.levels[0].parameters_mut().1[BRICK_NODES][3] = f32::NAN;
-    let error = Asset::decode(&asset.encode()).unwrap_err().to_string();
+fn version_1_is_still_read_and_becomes_the_present_one_when_written() {
+    let asset = asset();
+    let back = Asset::decode(&version_1(&asset, f32::to_owned)).unwrap();
+    assert_eq!(back.header.format_version, 1);
+    for i in 0..200 {
+        let p = Vec3::new(-1.0, 2.0, -0.5) + Vec3::new(0.0123, 0.0051, 0.0039) * i as f32;
+        let (a, b) = (asset.field.raw_density(p), back.field.raw_density(p));
+        // f16 has 11 bits: values up to 10 on two levels are within 2 * 10 * 2^-11.
+        assert!((a - b).abs() < 0.01, "{p}: {a} {b}");
+    }
+    let again = Asset::decode(&back.encode()).unwrap();
+    assert_eq!(again.header.format_version, FORMAT_VERSION);
+}
+
+#[test]
+fn not_finite_values_in_the_bytes_are_refused_by_tensor() {
+    let bytes = version_1(&asset(), |x| if *x > 0.9 { f32::NAN } else { *x });
+    let error = Asset::decode(&bytes).unwrap_err().to_string();
     assert!(error.contains("level0.features"), "{error}");
+}
+
+/// The asset as version 1 stored it: f16, with features as `feature` changes them.
+fn version_1(asset: &Asset, feature: impl Fn(&f32) -> f32) -> Vec<u8> {
+    let plain = zstd::bulk::decompress(&asset.encode(), 1 << 24).unwrap();
+    let (_, metadata) = SafeTensors::read_metadata(&plain).unwrap();
+    let mut texts = metadata.metadata().clone().unwrap();
+    for text in texts.values_mut() {
+        *text = text
+            .replace(
+                &format!("\"format_version\":{FORMAT_VERSION}"),
+                "\"format_version\":1",
+            )
+            .replace(",\"density_step\":0.03125", "");
+    }
+    let stored = SafeTensors::deserialize(&plain).unwrap();
+    let halves = |values: &mut dyn Iterator<Item = f32>| -> Vec<u8> {
+        values
+            .flat_map(|x| f16::from_f32(x).to_le_bytes())
+            .collect()
+    };
+    let mut tensors: Vec<(String, Dtype, Vec<usize>, Vec<u8>)> = Vec::new();
+    for (name, view) in stored.tensors() {
+        if !name.starts_with("level") || name.ends_with("positions") {
+            tensors.push((
+                name,
+                view.dtype(),
+                view.shape().to_vec(),
+                view.data().to_vec(),
+            ));
+        }
+    }
+    for (l, level) in asset.field.levels.iter().enumerate() {
+        let n = level.brick_count() - 1;
+        let density = halves(&mut level.density()[BRICK_NODES..].iter().copied());
+        let features = level.features()[BRICK_NODES..].as_flattened();
+        let features = halves(&mut features.iter().map(&feature));
+        let shape = vec![n, BRICK_NODES, FEATURES];
+        tensors.push((
+            format!("level{l}.density"),
+            Dtype::F16,
+            shape[..2].to_vec(),
+            density,
+        ));
+        tensors.push((format!("level{l}.features"), Dtype::F16, shape, features));
+    }
+    let views = tensors.iter().map(|(name, dtype, shape, bytes)| {
+        (name, TensorView::new(*dtype, shape.clone(), bytes).unwrap())
+    });
+    let plain = safetensors::serialize(views, Some(texts)).unwrap();
+    zstd::bulk::compress(&plain, 3).unwrap()
 }
 
 proptest! {

@@ -103,7 +103,28 @@ pub(super) fn fit(
         .extend(refine(&mut trainer, preset, &|_, _| false));
     run.seconds = control.seconds() - start_s;
     run.psnr_train = error.map(psnr_db);
-    Ok((trainer.into_field(), run))
+    let field = trainer.into_field();
+    if let Some(quantity) = not_finite(&field) {
+        return Err(Error::Diverged {
+            step: steps,
+            quantity,
+        });
+    }
+    Ok((field, run))
+}
+
+/// The parameters of a field that are not all finite, if any: a loss may stay finite beside a voxel that no ray weighs.
+fn not_finite(field: &Field) -> Option<&'static str> {
+    let finite = |values: &[f32]| values.iter().all(|x| x.is_finite());
+    let densities = field.levels.iter().all(|level| finite(level.density()));
+    let mut features = field.levels.iter().map(|level| level.features());
+    if !densities {
+        return Some("density");
+    }
+    if !features.all(|features| finite(features.as_flattened())) {
+        return Some("features");
+    }
+    (!finite(field.mlp.parameters())).then_some("colour network")
 }
 
 /// The fitted field with its figures on the held-out views.

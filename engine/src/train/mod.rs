@@ -6,8 +6,8 @@
 mod background;
 mod bounded;
 mod control;
-pub mod dvgo;
 mod dense_box;
+pub mod dvgo;
 mod evaluate;
 mod fit;
 mod free_space;

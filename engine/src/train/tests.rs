@@ -4,10 +4,14 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use glam::{DMat3, DQuat, DVec2, DVec3};
 
+use super::evaluate::evaluate;
+use super::fit::Run;
 use super::*;
-use crate::Error;
+use crate::asset::{AssetHeader, AssetKind, ColorSpace, FORMAT_VERSION, Usage};
 use crate::camera::{Camera, Distortion, Rigid};
+use crate::class::ObjectClass;
 use crate::view::{DepthReturn, PixelLabel, Split, TrainView};
+use crate::{Asset, Error};
 
 /// Ground z = 0 with a checkerboard, and a striped box of these half extents around this centre; sky above.
 const BOX_HALF: DVec3 = DVec3::new(1.0, 0.6, 0.5);
@@ -190,6 +194,56 @@ fn a_background_is_learned_up_to_its_held_out_views() {
         &mut samples,
     );
     assert!(tau < 0.1, "{tau}");
+}
+
+/// Held-out PSNR of the field as trained and as stored, and the stored bytes.
+fn stored(trained: Trained, views: &[TrainView]) -> (f64, f64, usize) {
+    let asset = Asset {
+        header: AssetHeader {
+            format_version: FORMAT_VERSION,
+            kind: AssetKind::Object,
+            class: ObjectClass::Car,
+            size_m: DVec3::ONE,
+            symmetric: false,
+            usage: Usage::Library,
+            usage_reason: String::new(),
+            local_from_world: Rigid::IDENTITY,
+            source_log: String::new(),
+            source_track_id: String::new(),
+            synthetic: true,
+            quality: trained.quality.clone(),
+            coverage: None,
+            recording: None,
+            valid_region: None,
+            ego_from_object: Vec::new(),
+            color_space: ColorSpace::Srgb,
+            exposure_ev: 0.0,
+        },
+        field: trained.field,
+    };
+    let bytes = asset.encode();
+    let field = Asset::decode(&bytes).unwrap().field;
+    let again = evaluate(&field, views, Run::default(), None);
+    let before = trained.quality.psnr_held_out.unwrap();
+    (before, again.psnr_held_out.unwrap(), bytes.len())
+}
+
+#[test]
+fn storing_a_field_costs_under_a_tenth_of_a_decibel() {
+    let mut preset = quick(TrainPreset::background(Budget::Quick), 200);
+    preset.box_reach_m = 30.0;
+    let input = drive();
+    let trained = train_background(&input, &preset, 1, &NoControl).unwrap();
+    let (before, after, _) = stored(trained, &input.views);
+    assert!((before - after).abs() < 0.1, "{before} to {after} dB");
+    let mut preset = quick(TrainPreset::object(Budget::Quick), 200);
+    preset.voxels_m = vec![0.2, 0.1];
+    preset.level_reach_m = vec![f32::INFINITY; 2];
+    let input = orbit(true, false);
+    let trained = train_object(&input, &preset, 1, &NoControl).unwrap();
+    let (before, after, bytes) = stored(trained, &input.views);
+    assert!((before - after).abs() < 0.1, "{before} to {after} dB");
+    assert!(bytes < 1_000_000, "{bytes} bytes");
 }
 
 #[test]
