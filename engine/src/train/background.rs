@@ -114,7 +114,7 @@ fn prepare(
     store_around_points(&mut field, &points, preset.memory_bytes, allowed);
     seed_density(&mut field, &points, preset.seed_sigma);
     let cubes = CellSet::of_cubes(&field, &possible, CUBE_M);
-    field.occupancy = survey(&field, |centre, _| {
+    field.occupancy = survey(&field, preset.step_voxels, |centre, _| {
         near.contains(centre) || cubes.contains(centre)
     });
     Ok(field)
@@ -137,7 +137,7 @@ fn prepare_dense(input: &BackgroundInput, preset: &TrainPreset, seed: u64) -> Re
     let near = CellSet::around_points(&field, &points);
     let possible = possible_cubes(&FreeSpace::new(&input.views), low, high);
     let cubes = CellSet::of_cubes(&field, &possible, CUBE_M);
-    field.occupancy = survey(&field, |centre, _| {
+    field.occupancy = survey(&field, preset.step_voxels, |centre, _| {
         near.contains(centre) || cubes.contains(centre)
     });
     Ok(field)

@@ -138,6 +138,6 @@ fn prepare(input: &BoundedInput, preset: &TrainPreset, seed: u64) -> Result<Fiel
     if let Some(level) = field.levels.first_mut() {
         level.allocate_all();
     }
-    field.occupancy = survey(&field, |_: Vec3, _| true);
+    field.occupancy = survey(&field, preset.step_voxels, |_: Vec3, _| true);
     Ok(field)
 }

@@ -88,6 +88,6 @@ fn prepare(input: &ObjectInput, half_m: DVec3, preset: &TrainPreset, seed: u64) 
         points[returns..].iter_mut().for_each(|p| p.y = -p.y);
     }
     seed_density(&mut field, &points, preset.seed_sigma);
-    field.occupancy = survey(&field, |_, _| true);
+    field.occupancy = survey(&field, preset.step_voxels, |_, _| true);
     Ok(field)
 }

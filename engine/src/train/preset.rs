@@ -48,6 +48,8 @@ pub struct TrainPreset {
     pub seed_sigma: f32,
     /// Hidden width of the colour network.
     pub mlp_width: usize,
+    /// Step along a ray in finest stored voxels. Training draws where in a step density is read, so whole voxels lose little.
+    pub step_voxels: f32,
     /// Metres of step per metre of distance.
     pub step_growth: f32,
     pub steps: u64,
@@ -78,7 +80,7 @@ pub struct TrainPreset {
 }
 
 /// `fast`: finest voxel in pixels, and the most of them along an edge.
-const FAST_PIXELS: f64 = 0.6;
+const FAST_PIXELS: f64 = 0.8;
 const FAST_MOST_VOXELS: f64 = 320.0;
 
 impl TrainPreset {
@@ -95,6 +97,7 @@ impl TrainPreset {
             alpha_init: 1e-4,
             seed_sigma: 3.0,
             mlp_width: 64,
+            step_voxels: 1.0,
             step_growth: 0.004,
             steps,
             most_passes,
@@ -148,6 +151,7 @@ impl TrainPreset {
             alpha_init: 3e-3,
             seed_sigma: 0.0,
             mlp_width: 32,
+            step_voxels: 1.0,
             step_growth: 0.0,
             steps: 30_000,
             most_passes: f64::INFINITY,
@@ -184,7 +188,7 @@ impl TrainPreset {
                 depth_trim_m: f32::INFINITY,
                 ..RayLosses::default()
             },
-            surveys: Surveys::AtSteps(vec![64, 128, 256, 512, 1024, 2048, 4096]),
+            surveys: Surveys::AtSteps(vec![64, 128, 256, 512, 1024, 2048, 4096, 8192, 16384]),
             survey_alpha: 1e-2,
             options: TrainOptions::default(),
         }
@@ -203,6 +207,7 @@ impl TrainPreset {
             alpha_init: 1e-3,
             seed_sigma: 5.0,
             mlp_width: 64,
+            step_voxels: 0.5,
             step_growth: 0.002,
             steps,
             most_passes,

@@ -26,10 +26,10 @@ pub(super) fn refine(
     let field = trainer.field();
     let old = &field.occupancy;
     let alpha = preset.survey_alpha;
-    let dense = survey(field, |centre, voxel_m| {
+    let dense = survey(field, preset.step_voxels, |centre, voxel_m| {
         !matches!(old.at(centre), Space::Empty { .. }) && is_dense(field, centre, voxel_m, alpha)
     });
-    let grown = dilate(field, &dense);
+    let grown = dilate(field, preset.step_voxels, &dense);
     let read: Vec<Vec<bool>> = field
         .levels
         .par_iter()
@@ -55,7 +55,7 @@ pub(super) fn refine(
     }
     // Steps follow the finest stored voxel, which may have changed.
     let field = trainer.field();
-    let stepped = survey(field, |centre, _| {
+    let stepped = survey(field, preset.step_voxels, |centre, _| {
         !matches!(grown.at(centre), Space::Empty { .. })
     });
     trainer.field_mut().occupancy = stepped;

@@ -10,13 +10,16 @@ use crate::field::{Field, Occupancy};
 const SIDE: usize = BLOCK_SIDE as usize;
 type Mask = [u64; SIDE];
 
-/// Step in the finest stored voxels.
-const STEP_VOXELS: f32 = 0.5;
-
 /// Surveys the blocks of 8^3 cells: `occupied(cell centre, finest voxel stored in its block)` says which cells can hold density.
 ///
 /// Only blocks where some level stores a brick are asked about; the mask is dilated by one cell within stored space.
-pub(super) fn survey(field: &Field, occupied: impl Fn(Vec3, f32) -> bool + Sync) -> Occupancy {
+///
+/// Rays will step by `step_voxels` of the finest voxel stored in a block.
+pub(super) fn survey(
+    field: &Field,
+    step_voxels: f32,
+    occupied: impl Fn(Vec3, f32) -> bool + Sync,
+) -> Occupancy {
     let old = &field.occupancy;
     let (low, high) = field.bounds_m;
     let mut new = Occupancy::new(old.cell_m(), low, high - low).expect("same box as before");
@@ -33,7 +36,7 @@ pub(super) fn survey(field: &Field, occupied: impl Fn(Vec3, f32) -> bool + Sync)
             );
             let voxel_m = finest_voxel_in(field, &new, block)?;
             let mask = mask_of(&new, block, |centre| occupied(centre, voxel_m));
-            (mask != [0; SIDE]).then_some((block, mask, STEP_VOXELS * voxel_m))
+            (mask != [0; SIDE]).then_some((block, mask, step_voxels * voxel_m))
         })
         .collect();
     for (block, mask, step_m) in masks {
@@ -66,7 +69,7 @@ pub(super) fn is_dense(field: &Field, centre: Vec3, voxel_m: f32, alpha: f32) ->
 }
 
 /// Grows the mask by one cell along each axis (26 neighbours in sum), within blocks that store something.
-pub(super) fn dilate(field: &Field, mask: &Occupancy) -> Occupancy {
+pub(super) fn dilate(field: &Field, step_voxels: f32, mask: &Occupancy) -> Occupancy {
     let mut grown = mask.clone();
     let blocks = mask.blocks_per_axis();
     let row = |x: i64, y: i64, z: i64| -> u64 {
@@ -103,7 +106,7 @@ pub(super) fn dilate(field: &Field, mask: &Occupancy) -> Occupancy {
                 *word |= bits << (y * 8);
             }
         }
-        grown.set_block(block, out, STEP_VOXELS * voxel_m);
+        grown.set_block(block, out, step_voxels * voxel_m);
     }
     grown
 }
