@@ -17,6 +17,9 @@ use crate::field::mlp::MlpLayout;
 
 use super::mlp::MlpBatch;
 
+/// Most columns of weights that lie together: with 64 pairs of inputs 16 KiB, half of the first-level cache.
+const PANEL: usize = 64;
+
 /// Proof that this machine has the instructions.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Bf16(());
@@ -33,9 +36,9 @@ pub(crate) struct Bf16Weights {
     b3: [f32; 3],
     /// `[3][width]`.
     w3: Vec<f32>,
-    /// `[width / 2][width]`, pairs of inputs.
+    /// `[width / PANEL][width / 2][PANEL]`, pairs of inputs.
     w2: Vec<u32>,
-    /// `[width / 2][width]`, pairs of outputs.
+    /// `[width / PANEL][width / 2][PANEL]`, pairs of outputs.
     w2_transposed: Vec<u32>,
     /// `[width / 2][16]`, pairs of outputs.
     w1_transposed: Vec<u32>,

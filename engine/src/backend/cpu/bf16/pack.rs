@@ -1,6 +1,6 @@
 //! Weights rearranged for the dot product: two neighbours of the summed index in one u32.
 
-use super::Bf16Weights;
+use super::{Bf16Weights, PANEL};
 use crate::backend::cpu::mlp::PADDED_FEATURES;
 use crate::field::ColorMlp;
 use crate::field::lattice::FEATURES;
@@ -39,15 +39,19 @@ pub(super) fn update(packed: &mut Bf16Weights, mlp: &ColorMlp) {
     packed.w3_pairs.extend(pairs);
 }
 
-/// Writes `value(row, column)` with rows 2r and 2r + 1 paired.
+/// Writes `value(row, column)` with rows 2r and 2r + 1 paired, in panels of columns as [`super::tile::product`] reads them.
 fn fill_pairs(
     out: &mut Vec<u32>,
     (rows, columns): (usize, usize),
     value: impl Fn(usize, usize) -> f32,
 ) {
+    let panel = columns.min(PANEL);
     out.clear();
-    for row in (0..rows).step_by(2) {
-        out.extend((0..columns).map(|column| pair(value(row, column), value(row + 1, column))));
+    for first in (0..columns).step_by(panel) {
+        for row in (0..rows).step_by(2) {
+            let columns = first..first + panel;
+            out.extend(columns.map(|column| pair(value(row, column), value(row + 1, column))));
+        }
     }
 }
 

@@ -7,6 +7,8 @@ use std::arch::x86_64::{
 };
 use std::mem::transmute;
 
+use super::PANEL;
+
 /// f32 or pairs in a register.
 pub(super) const LANES: usize = 16;
 /// Rows of a tile of products; batches are padded to a multiple. With 4 registers of columns, 24 sums stay in registers.
@@ -85,7 +87,8 @@ pub(super) fn where_active(x: __m512i, activation: __m512i) -> __m512i {
 
 /// `out = finish(start + a b)` for `rows` rows (a multiple of [`ROWS`]) and `n` columns.
 ///
-/// `a` has rows of `pairs` pairs, `b` one row of `n` for each pair; all rows start at `start` (n values), or at 0.
+/// `a` has rows of `pairs` pairs; `b` is packed in panels of columns, each of which stays in first-level cache for all rows. All
+/// rows start at `start` (n values), or at 0.
 #[inline]
 #[target_feature(enable = "avx512f,avx512bw,avx512bf16")]
 pub(super) fn product(
@@ -95,22 +98,17 @@ pub(super) fn product(
     start: Option<&[f32]>,
     finish: &mut Finish<'_>,
 ) {
-    assert!(rows.is_multiple_of(ROWS) && a.len() >= rows * pairs && b.len() >= n * pairs);
-    for row in (0..rows).step_by(ROWS) {
-        let a = &a[row * pairs..(row + ROWS) * pairs];
-        let mut column = 0;
-        while column < n {
-            let at = (n, row, column);
-            match n - column {
-                LANES => tile::<1>(at, a, b, start, finish),
-                left if left < 4 * LANES => tile::<2>(at, a, b, start, finish),
+    assert!(rows.is_multiple_of(ROWS) && a.len() >= rows * pairs && b.len() == n * pairs);
+    let panel = n.min(PANEL);
+    for (number, b) in b.chunks_exact(pairs * panel).enumerate() {
+        for row in (0..rows).step_by(ROWS) {
+            let a = &a[row * pairs..(row + ROWS) * pairs];
+            let at = (n, row, number * panel);
+            match panel / LANES {
+                1 => tile::<1>(at, a, b, start, finish),
+                2 => tile::<2>(at, a, b, start, finish),
                 _ => tile::<4>(at, a, b, start, finish),
             }
-            column += match n - column {
-                LANES => LANES,
-                left if left < 4 * LANES => 2 * LANES,
-                _ => 4 * LANES,
-            };
         }
     }
 }
@@ -136,8 +134,7 @@ fn tile<const V: usize>(
     for (r, row) in rows.iter_mut().enumerate() {
         *row = &a[r * pairs..(r + 1) * pairs];
     }
-    for (k, b) in b.chunks_exact(n).take(pairs).enumerate() {
-        let b = &b[column..column + V * LANES];
+    for (k, b) in b.chunks_exact(V * LANES).enumerate().take(pairs) {
         let mut right = [_mm512_set1_epi32(0); V];
         for (v, right) in right.iter_mut().enumerate() {
             *right = load_pairs(&b[v * LANES..]);
@@ -149,8 +146,19 @@ fn tile<const V: usize>(
             }
         }
     }
-    for (r, sums) in sums.iter().enumerate() {
-        put::<V>((row + r) * n + column, sums, finish);
+    // Finished from memory: were the sums indexed by what follows, each would be stored in every round of the loop above.
+    let mut block = [[0.0; 4 * LANES]; ROWS];
+    for r in 0..ROWS {
+        for v in 0..V {
+            store(sums[r][v], &mut block[r][v * LANES..]);
+        }
+    }
+    for (r, block) in block.iter().enumerate() {
+        let mut sums = [_mm512_setzero_ps(); V];
+        for (v, sum) in sums.iter_mut().enumerate() {
+            *sum = load(&block[v * LANES..]);
+        }
+        put::<V>((row + r) * n + column, &sums, finish);
     }
 }
 
