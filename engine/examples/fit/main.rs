@@ -13,7 +13,8 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, Result, ensure};
 use backlot_engine::Field;
 use backlot_engine::train::{
-    BoundedInput, Progress, TrainControl, TrainPreset, seen_box, train_bounded,
+    BoundedInput, DvgoRecipe, Progress, TrainControl, TrainPreset, Trained, frustum_box, seen_box,
+    train_bounded, train_dvgo,
 };
 use backlot_engine::view::TrainView;
 use clap::{Parser, ValueEnum};
@@ -52,7 +53,11 @@ struct Arguments {
 
 #[derive(Clone, Copy, ValueEnum)]
 enum Preset {
+    /// The fastest way to a good field.
     Fast,
+    /// DVGO's recipe with its own counts: --budget-s does not shorten it, and --iters, the fine stage's steps, scales every
+    /// count of steps alike.
+    Dvgo,
 }
 
 fn main() -> ExitCode {
@@ -74,16 +79,8 @@ fn run(arguments: &Arguments) -> Result<()> {
         .build_global()
         .context("--threads: the thread pool cannot start")?;
     let scene = dataset::read(&arguments.scene)?;
-    let (low_m, high_m) = seen_box(&scene.train)?;
-    let preset = preset(arguments, &scene.train, (high_m - low_m).max_element());
-    let input = BoundedInput {
-        views: scene.train,
-        low_m,
-        high_m,
-        backdrop: WHITE,
-    };
     let watch = Watch::new(&scene.test);
-    let trained = train_bounded(&input, &preset, arguments.seed, &watch)?;
+    let trained = train(arguments, scene.train, &watch)?;
     let figures = test_figures(&trained.field, &scene.test, WHITE);
     if let Some(folder) = &arguments.out {
         figures.write(folder)?;
@@ -116,13 +113,36 @@ fn run(arguments: &Arguments) -> Result<()> {
     Ok(())
 }
 
-fn preset(arguments: &Arguments, views: &[TrainView], edge_m: f64) -> TrainPreset {
+fn train(arguments: &Arguments, views: Vec<TrainView>, watch: &Watch<'_>) -> Result<Trained> {
+    let (low_m, high_m) = match arguments.preset {
+        Preset::Fast => seen_box(&views)?,
+        Preset::Dvgo => frustum_box(&views)?,
+    };
+    let input = BoundedInput {
+        views,
+        low_m,
+        high_m,
+        backdrop: WHITE,
+    };
+    let seed = arguments.seed;
+    let trained = match arguments.preset {
+        Preset::Fast => {
+            let preset = fast(arguments, &input.views, (high_m - low_m).max_element());
+            train_bounded(&input, &preset, seed, watch)?
+        }
+        Preset::Dvgo => {
+            let recipe = arguments.iters.map(DvgoRecipe::scaled);
+            train_dvgo(&input, &recipe.unwrap_or_default(), seed, watch)?
+        }
+    };
+    Ok(trained)
+}
+
+fn fast(arguments: &Arguments, views: &[TrainView], edge_m: f64) -> TrainPreset {
     // All views have about the same distance to the scene; the first stands for them.
     let view = &views[0];
     let distance_m = view.local_from_camera.translation_m.length();
-    let mut preset = match arguments.preset {
-        Preset::Fast => TrainPreset::fast(edge_m, distance_m / view.camera.focal_px.x),
-    };
+    let mut preset = TrainPreset::fast(edge_m, distance_m / view.camera.focal_px.x);
     if let Some(steps) = arguments.iters {
         preset.steps = steps;
     }
@@ -169,7 +189,8 @@ impl TrainControl for Watch<'_> {
         let train_s = self.seconds();
         let mut state = self.state.lock().expect("no thread panicked");
         state.steps = progress.step;
-        if train_s < state.next_s {
+        // The finished field is looked at once, by the caller.
+        if train_s < state.next_s || progress.step == progress.step_count {
             return;
         }
         let looking = Instant::now();
