@@ -1,0 +1,224 @@
+//! What each part of the method is for: it is taken away, and the figure it is for gets worse.
+//!
+//! The short forms run with every test. The long forms, whose figures are in docs/method.md:
+//! `cargo test --release -p backlot-engine --test ablation -- --ignored --nocapture --test-threads 1`
+
+mod scene;
+
+use backlot_engine::Field;
+use backlot_engine::field::Ray;
+use backlot_engine::quality::{psnr_db, render_rays};
+use backlot_engine::train::ray::{DepthForm, Rectified};
+use backlot_engine::train::{
+    Budget, NoControl, ObjectInput, TrainPreset, train_background, train_object,
+};
+use backlot_engine::view::{PixelLabel, TrainView};
+use glam::DVec2;
+
+/// Fixed, so that a failure is no chance.
+const SEED: u64 = 7;
+
+/// An object's figures on views with true labels.
+#[derive(Clone, Copy, Debug)]
+struct Figures {
+    /// Inside the true mask.
+    psnr: f64,
+    /// Mean accumulation of rays through the box that miss the car.
+    halo: f64,
+    /// Mean accumulation of rays that hit it.
+    opacity: f64,
+}
+
+fn figures(field: &Field, views: &[TrainView]) -> Figures {
+    let (mut error, mut inside, mut around) = (Vec::new(), Vec::new(), Vec::new());
+    let (low, high) = field.bounds();
+    for view in views {
+        let rays: Vec<Ray> = (0..view.labels.len()).map(|at| ray(view, at)).collect();
+        for ((at, ray), shown) in rays.iter().enumerate().zip(render_rays(field, &rays)) {
+            let accumulation = f64::from(shown.accumulation);
+            match view.labels[at] {
+                PixelLabel::Foreground => {
+                    let recorded = &view.rgb[3 * at..3 * at + 3];
+                    let pairs = shown.color.iter().zip(recorded);
+                    let squares =
+                        pairs.map(|(a, b)| (f64::from(*a) - f64::from(*b) / 255.0).powi(2));
+                    error.push(squares.sum::<f64>() / 3.0);
+                    inside.push(accumulation);
+                }
+                _ if ray.cross_box(low, high).is_some() => around.push(accumulation),
+                _ => {}
+            }
+        }
+    }
+    let mean = |x: &[f64]| x.iter().sum::<f64>() / x.len() as f64;
+    Figures {
+        psnr: psnr_db(mean(&error)),
+        halo: mean(&around),
+        opacity: mean(&inside),
+    }
+}
+
+fn ray(view: &TrainView, at: usize) -> Ray {
+    let width = view.camera.width as usize;
+    let pixel = DVec2::new((at % width) as f64 + 0.5, (at / width) as f64 + 0.5);
+    let direction = view
+        .local_from_camera
+        .direction(view.camera.direction(pixel));
+    Ray {
+        origin: view.local_from_camera.translation_m.as_vec3(),
+        direction: direction.as_vec3(),
+    }
+}
+
+/// How long the ablations train, and on how many views.
+#[derive(Clone, Copy)]
+struct Scale {
+    views: u32,
+    steps: u64,
+    rays: usize,
+}
+
+const SHORT: Scale = Scale {
+    views: 20,
+    steps: 180,
+    rays: 768,
+};
+const LONG: Scale = Scale {
+    views: 40,
+    steps: 2_000,
+    rays: 2_048,
+};
+
+fn object_preset(scale: Scale) -> TrainPreset {
+    let mut preset = TrainPreset::object(Budget::Standard);
+    preset.voxels_m = vec![0.4, 0.1];
+    preset.level_reach_m = vec![f32::INFINITY; 2];
+    preset.mlp_width = 32;
+    preset.steps = scale.steps;
+    preset.most_passes = f64::INFINITY;
+    preset.mix.pixel_rays = scale.rays;
+    preset
+}
+
+fn fit(input: &ObjectInput, preset: &TrainPreset, seed: u64) -> Field {
+    train_object(input, preset, seed, &NoControl)
+        .expect("the scene is sound")
+        .field
+}
+
+/// Figures of colour loss alone, cross-entropy, and the printed loss, on views of the side that was seen.
+fn rectified(scale: Scale, seed: u64) -> [Figures; 3] {
+    let input = scene::one_sided(scale.views, false, true);
+    let views = scene::unseen(false);
+    let run = |weight: f32, form: Rectified| {
+        let mut preset = object_preset(scale);
+        preset.mix.silhouette_weight = weight;
+        preset.losses.rectified = form;
+        figures(&fit(&input, &preset, seed), &views)
+    };
+    let weight = object_preset(scale).mix.silhouette_weight;
+    [
+        run(0.0, Rectified::CrossEntropy),
+        run(weight, Rectified::CrossEntropy),
+        run(weight, Rectified::Printed),
+    ]
+}
+
+#[test]
+fn cross_entropy_lowers_the_halo_of_bad_masks_and_the_printed_loss_does_not() {
+    let [color, entropy, printed] = rectified(SHORT, SEED);
+    eprintln!("colour {color:?}\ncross-entropy {entropy:?}\nprinted {printed:?}");
+    assert!(entropy.halo < 0.7 * color.halo, "{entropy:?} {color:?}");
+    assert!(printed.halo > 0.95 * color.halo, "{printed:?} {color:?}");
+    // The car is not paid for it.
+    assert!(entropy.opacity > 0.9, "{entropy:?}");
+}
+
+/// Figures on the side that no camera saw, without and with the mirror.
+fn symmetry(scale: Scale, seed: u64) -> [Figures; 2] {
+    let views = scene::unseen(true);
+    [false, true].map(|symmetric| {
+        let input = scene::one_sided(scale.views, symmetric, true);
+        figures(&fit(&input, &object_preset(scale), seed), &views)
+    })
+}
+
+#[test]
+fn symmetry_shows_the_unseen_side() {
+    let [plain, mirrored] = symmetry(SHORT, SEED);
+    eprintln!("plain {plain:?}\nmirrored {mirrored:?}");
+    assert!(mirrored.psnr > plain.psnr + 3.0, "{mirrored:?} {plain:?}");
+}
+
+/// PSNR and depth error on held-out views of a drive: without depth supervision, with it, and with the paper's.
+fn depth(scale: Scale, seed: u64) -> [(f64, f64); 3] {
+    let input = scene::drive(scale.views);
+    let run = |weight: f32, form: DepthForm| {
+        let mut preset = TrainPreset::background(Budget::Standard);
+        preset.voxels_m = vec![1.6, 0.4];
+        preset.level_reach_m = vec![f32::INFINITY; 2];
+        preset.box_reach_m = 20.0;
+        preset.mlp_width = 32;
+        preset.steps = scale.steps;
+        preset.most_passes = f64::INFINITY;
+        preset.mix.pixel_rays = scale.rays;
+        preset.mix.depth_rays = scale.rays / 4;
+        preset.mix.depth_weight = weight;
+        preset.losses.depth = form;
+        let trained = train_background(&input, &preset, seed, &NoControl);
+        let quality = trained.expect("the scene is sound").quality;
+        let figure = |x: Option<f64>| x.expect("views were held out");
+        (figure(quality.psnr_held_out), figure(quality.depth_mae_m))
+    };
+    let weight = TrainPreset::background(Budget::Standard).mix.depth_weight;
+    [
+        run(0.0, DepthForm::Expected),
+        run(weight, DepthForm::Expected),
+        run(1.0, DepthForm::CompositedL1),
+    ]
+}
+
+#[test]
+fn depth_supervision_lowers_the_depth_error() {
+    let scale = Scale {
+        steps: 120,
+        ..SHORT
+    };
+    let [without, with, paper] = depth(scale, SEED);
+    eprintln!("without {without:?}\nwith {with:?}\nL1 of the composited range {paper:?}");
+    assert!(with.1 < 0.8 * without.1, "{with:?} {without:?}");
+}
+
+const SEEDS: [u64; 3] = [7, 8, 9];
+
+#[test]
+#[ignore = "minutes; prints the figures of docs/method.md"]
+fn long_rectified() {
+    for seed in SEEDS {
+        let [color, entropy, printed] = rectified(LONG, seed);
+        eprintln!(
+            "seed {seed}\n  colour {color:?}\n  cross-entropy {entropy:?}\n  printed {printed:?}"
+        );
+        assert!(entropy.halo < 0.7 * color.halo && printed.halo > 0.95 * color.halo);
+    }
+}
+
+#[test]
+#[ignore = "minutes; prints the figures of docs/method.md"]
+fn long_symmetry() {
+    for seed in SEEDS {
+        let [plain, mirrored] = symmetry(LONG, seed);
+        eprintln!("seed {seed}\n  plain {plain:?}\n  mirrored {mirrored:?}");
+        assert!(mirrored.psnr > plain.psnr + 3.0);
+    }
+}
+
+#[test]
+#[ignore = "minutes; prints the figures of docs/method.md"]
+fn long_depth() {
+    for seed in SEEDS {
+        let [without, with, paper] = depth(LONG, seed);
+        eprintln!("seed {seed}\n  without {without:?}\n  with {with:?}\n  composited L1 {paper:?}");
+        assert!(with.1 < 0.8 * without.1 && paper.1 < without.1);
+    }
+}
