@@ -135,28 +135,40 @@ struct Walk<'a> {
 }
 
 impl Walk<'_> {
+    /// Distance at which the ray leaves a cube.
+    #[inline(always)]
+    fn leaves(&self, corner_m: Vec3, side_m: f32) -> f32 {
+        let near = (corner_m - self.ray.origin) * self.inverse;
+        let far = (corner_m + side_m - self.ray.origin) * self.inverse;
+        near.max(far).min_element()
+    }
+
     /// The next intervals and the points in them at which density is read; fewer than a group only at the ray's end.
     #[inline(always)]
     fn next_intervals(&mut self, phase: f32, at: &mut Lane<f32>, dt: &mut Lane<f32>) -> usize {
-        let (origin, inverse) = (self.ray.origin, self.inverse);
         let mut count = 0;
         while self.t < self.end {
             match self.walker.at(self.ray.at(self.t)) {
                 Space::Empty { corner_m, side_m } => {
-                    let (a, b) = (
-                        (corner_m - origin) * inverse,
-                        (corner_m + side_m - origin) * inverse,
-                    );
-                    self.t = a.max(b).min_element().max(self.t) + self.nudge_m;
+                    self.t = self.leaves(corner_m, side_m).max(self.t) + self.nudge_m;
                 }
                 Space::Occupied { step_m } => {
-                    let step = step_m.max(self.step_growth * self.t).min(self.end - self.t);
-                    at[count] = self.t + phase * step;
-                    dt[count] = step;
-                    self.t += step.max(self.nudge_m);
-                    count += 1;
-                    if count == GROUP {
-                        break;
+                    let (corner_m, side_m) = self.walker.cell();
+                    let leave = self.leaves(corner_m, side_m).min(self.end);
+                    // The cell at t was just looked up, so at least one interval begins in it.
+                    loop {
+                        let step = step_m.max(self.step_growth * self.t);
+                        let step = step.min(self.end - self.t);
+                        at[count] = self.t + phase * step;
+                        dt[count] = step;
+                        self.t += step.max(self.nudge_m);
+                        count += 1;
+                        if count == GROUP {
+                            return count;
+                        }
+                        if self.t >= leave {
+                            break;
+                        }
                     }
                 }
             }

@@ -137,17 +137,36 @@ impl Occupancy {
             let corner_m = self.origin_m + block.as_vec3() * side_m;
             return Space::Empty { corner_m, side_m };
         }
+        let mask = &self.masks[stored];
         let local = cell & 7u32;
-        if self.masks[stored][local.z as usize] >> (local.y * 8 + local.x) & 1 == 0 {
-            let corner_m = self.origin_m + cell.as_vec3() * self.cell_m;
+        if mask[local.z as usize] >> (local.y * 8 + local.x) & 1 == 0 {
+            let side = empty_cube(mask, local);
+            let corner = cell & !(side - 1);
             return Space::Empty {
-                corner_m,
-                side_m: self.cell_m,
+                corner_m: self.origin_m + corner.as_vec3() * self.cell_m,
+                side_m: self.cell_m * side as f32,
             };
         }
         Space::Occupied {
             step_m: self.steps_m[stored],
         }
+    }
+}
+
+/// Edge in cells of the largest aligned cube around an empty cell of a block that is empty too: 4, 2 or 1.
+#[inline]
+fn empty_cube(mask: &[u64; BLOCK_SIDE as usize], local: UVec3) -> u32 {
+    let empty = |side: u32, square: u64| {
+        let first = local & !(side - 1);
+        let square = square << (first.y * 8 + first.x);
+        (first.z..first.z + side).all(|z| mask[z as usize] & square == 0)
+    };
+    if empty(4, 0x0f0f_0f0f) {
+        4
+    } else if empty(2, 0x0303) {
+        2
+    } else {
+        1
     }
 }
 
@@ -172,6 +191,13 @@ impl Walker<'_> {
             self.space = self.mask.space_of(cell.as_uvec3());
         }
         self.space
+    }
+
+    /// Lower corner and edge in metres of the cell of the last position.
+    #[inline(always)]
+    pub(crate) fn cell(&self) -> (Vec3, f32) {
+        let side_m = self.mask.cell_m;
+        (self.mask.origin_m + self.cell.as_vec3() * side_m, side_m)
     }
 }
 
