@@ -80,8 +80,8 @@ pub struct TrainPreset {
 }
 
 /// `fast`: finest voxel in pixels, and the most of them along an edge.
-const FAST_PIXELS: f64 = 0.8;
-const FAST_MOST_VOXELS: f64 = 320.0;
+const FAST_PIXELS: f64 = 0.6;
+const FAST_MOST_VOXELS: f64 = 256.0;
 
 impl TrainPreset {
     pub fn background(budget: Budget) -> Self {
