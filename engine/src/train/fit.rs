@@ -74,7 +74,8 @@ pub(super) fn fit(
             .min_weight(step)
             .unwrap_or(preset.losses.min_weight);
         sampler.draw(step, &mix, &mut rays);
-        let sums = trainer.step(&rays, &losses, rates_at(preset, done));
+        let passes = run.rays as f64 / sampler.pixel_count() as f64;
+        let sums = trainer.step(&rays, &losses, rates_at(preset, done, passes));
         if !sums.loss.is_finite() {
             let quantity = if sums.squared_error.is_finite() {
                 "loss"
@@ -163,9 +164,15 @@ fn affordable_rays(preset: &TrainPreset, colored: u64, rays: u64) -> usize {
     rays.min(most) as usize
 }
 
-/// Exponential decay, as DVGO's.
-fn rates_at(preset: &TrainPreset, done: f64) -> Rates {
-    let mut rates = preset.rates.scaled(preset.rate_decay.powf(done as f32));
+/// How the rates fall with the passes beyond [`TrainPreset::settle_passes`]: between the -1/2 that keeps moving and the -1 that
+/// averages noise away best but cannot follow.
+const SETTLE_POWER: f64 = -0.75;
+
+/// Exponential decay, as DVGO's, times the settling.
+fn rates_at(preset: &TrainPreset, done: f64, passes: f64) -> Rates {
+    let settled = (1.0 + passes / preset.settle_passes).powf(SETTLE_POWER) as f32;
+    let factor = preset.rate_decay.powf(done as f32) * settled;
+    let mut rates = preset.rates.scaled(factor);
     if done < preset.options.poses_from {
         rates.pose_m = 0.0;
     }

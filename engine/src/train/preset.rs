@@ -64,6 +64,9 @@ pub struct TrainPreset {
     pub rates: Rates,
     /// What is left of them at the last step.
     pub rate_decay: f32,
+    /// Passes over the training pixels after which the rates fall by themselves, whatever the run's length, so that a field is
+    /// good at any moment and not only at the end; infinite switches this off.
+    pub settle_passes: f64,
     pub mix: RayMix,
     /// Steps take fewer rays while rays have so many coloured samples that they would exceed this number: the first steps, in
     /// still open space, then cost no more than later ones.
@@ -110,6 +113,7 @@ impl TrainPreset {
                 sky: 0.1,
                 ..Rates::default()
             },
+            settle_passes: f64::INFINITY,
             rate_decay: 0.1,
             mix: RayMix {
                 pixel_rays: 3_584,
@@ -164,7 +168,8 @@ impl TrainPreset {
                 sky: 0.0,
                 ..Rates::default()
             },
-            rate_decay: 0.1,
+            settle_passes: 0.5,
+            rate_decay: 0.3,
             mix: RayMix {
                 pixel_rays: 2_048,
                 depth_rays: 0,
@@ -220,6 +225,7 @@ impl TrainPreset {
                 sky: 0.0,
                 ..Rates::default()
             },
+            settle_passes: f64::INFINITY,
             rate_decay: 0.1,
             mix: RayMix {
                 pixel_rays: 2_048,
