@@ -105,6 +105,7 @@ pub(super) fn drive(slope: f64, count: u32, spacing_m: f64) -> Recording {
                 * Rigid::new(forward_from_camera(), DVec3::new(0.0, 0.0, 1.6)),
             local_from_ego,
             image: None,
+            instance_mask: None,
         }
     });
     Recording {

@@ -121,8 +121,9 @@ impl PlacedObject {
 }
 
 /// An original mover that a sample does not show.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct LeftOut {
+    pub track_id: String,
     pub occupied: Occupied,
     /// Index into the library of its own asset, if it has one: its shape tells which pixels it hid.
     pub asset: Option<usize>,
@@ -307,6 +308,7 @@ fn place_originals(composition: &mut Composition, placer: &mut Placer<'_>, seed:
         });
         if recipe.drop_originals {
             composition.left_out.push(LeftOut {
+                track_id: track.track_id.clone(),
                 occupied: original,
                 asset: object.asset,
             });
@@ -364,6 +366,7 @@ fn replace_originals(
         if let Some(at) = composition.objects.iter().position(is_original) {
             let asset = composition.objects.remove(at).asset;
             composition.left_out.push(LeftOut {
+                track_id: track.track_id.clone(),
                 occupied: original,
                 asset,
             });

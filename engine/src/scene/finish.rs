@@ -13,7 +13,7 @@ use super::recorded::{RecordedImage, blend_rim, is_placed, show_recorded};
 use super::render::Scene;
 use super::seen::Sight;
 use super::shadow::{cast_shadows, shadow_casters};
-use super::silhouette::silhouette;
+use super::silhouette::{Shape, silhouette};
 use super::valid_region::ValidRegion;
 use crate::camera::Rigid;
 use crate::field::{Field, RaySample};
@@ -50,7 +50,7 @@ pub fn finish<'a>(
     grain: Draws,
     frame: &mut RenderedFrame,
 ) -> Finished {
-    let hidden = hidden_pixels(composition, model);
+    let hidden = hidden_pixels(composition, recorded, model);
     let mut shown = match recorded {
         Some(image) => show_recorded(composition, image, &hidden, frame),
         None => vec![0.0; hidden.len()],
@@ -80,14 +80,14 @@ pub fn finish<'a>(
 /// Pixels of the recorded image that a left-out mover took and no staying one before it.
 fn hidden_pixels<'a>(
     composition: &Composition,
+    recorded: Option<&RecordedImage<'_>>,
     model: impl Fn(usize) -> Option<&'a Field>,
 ) -> Vec<bool> {
     let camera = &composition.camera;
     let camera_from_local = composition.local_from_camera.inverse();
     let mut begins = vec![f32::INFINITY; camera.pixel_count()];
-    for LeftOut { occupied, asset } in &composition.left_out {
-        let field = asset.and_then(&model);
-        let own = silhouette(camera, &camera_from_local, occupied, field);
+    for mover in &composition.left_out {
+        let own = left_out_silhouette(composition, recorded, mover, &model);
         for (begin, own) in begins.iter_mut().zip(own) {
             *begin = begin.min(own);
         }
@@ -102,6 +102,20 @@ fn hidden_pixels<'a>(
         });
     }
     begins.iter().map(|z| z.is_finite()).collect()
+}
+
+/// [`silhouette`] of a left-out mover by the best that is known of its shape.
+pub(super) fn left_out_silhouette<'a>(
+    composition: &Composition,
+    recorded: Option<&RecordedImage<'_>>,
+    mover: &LeftOut,
+    model: impl Fn(usize) -> Option<&'a Field>,
+) -> Vec<f32> {
+    let camera = &composition.camera;
+    let mask = recorded.and_then(|r| r.mask_of(&mover.track_id, camera.width, camera.height));
+    let shape = Shape::best(mask.as_deref(), mover.asset.and_then(model));
+    let camera_from_local = composition.local_from_camera.inverse();
+    silhouette(camera, &camera_from_local, &mover.occupied, shape)
 }
 
 /// Fills the hidden pixels whose background no other frame saw; their depth follows the ground.

@@ -83,6 +83,7 @@ impl Shot {
             size_m: track.size_m,
         };
         self.composition.left_out = vec![LeftOut {
+            track_id: "lead".into(),
             occupied,
             asset: None,
         }];
@@ -203,6 +204,7 @@ fn a_swapped_car_has_recorded_surroundings_up_to_its_soft_edge() {
         width: 1,
         height: 1,
         rgb8: &GREY,
+        masks: None,
     };
     let (before, after, finished) = shot.take(Some(&recorded));
     let placed = (0..after.instance.len()).filter(|i| after.instance[*i] == 1);
@@ -246,6 +248,7 @@ fn the_order_of_objects_does_not_reach_the_finished_image() {
         width: 1,
         height: 1,
         rgb8: &GREY,
+        masks: None,
     };
     let (plain, forward, _) = shot.take(Some(&recorded));
     shot.composition.objects.reverse();

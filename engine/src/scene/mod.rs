@@ -68,7 +68,7 @@ pub use merge::{Merged, composite, merge};
 pub use projection::{PixelBox, amodal_box, corners};
 pub use random::Draws;
 pub use recipe::{Jitter, MAX_OBJECTS, MAX_SIDE_PX, PlacementPreset, Recipe};
-pub use recorded::{RecordedImage, needs_recorded};
+pub use recorded::{InstanceMask, RecordedImage, needs_recorded};
 pub use recording::{RecordedCamera, RecordedFrame, RecordedTrack, Recording};
 pub use region_builder::RegionConfig;
 pub use rejection::Rejection;

@@ -10,7 +10,8 @@ use super::composition::{Composition, Origin, PlacedObject};
 use super::frame::RenderedFrame;
 use super::hull::{PADDING_M, for_each_pixel};
 use super::projection::corners;
-use super::silhouette::UNDERCARRIAGE_M;
+use super::recording::RecordedTrack;
+use super::silhouette::{UNDERCARRIAGE_M, spread_px};
 use crate::camera::{NEAR_M, Rigid};
 
 /// The recorded image of the composition's frame: sRGB, row-major, three bytes a pixel, of any size.
@@ -19,6 +20,16 @@ pub struct RecordedImage<'a> {
     pub width: u32,
     pub height: u32,
     pub rgb8: &'a [u8],
+    /// What the log says of its pixels, if it does.
+    pub masks: Option<InstanceMask<'a>>,
+}
+
+/// The instances of a recorded image, as large as it.
+#[derive(Clone, Copy, Debug)]
+pub struct InstanceMask<'a> {
+    /// 0 where there is none, otherwise 1 + index into `tracks`; larger values name nobody.
+    pub values: &'a [u16],
+    pub tracks: &'a [RecordedTrack],
 }
 
 /// Room around a mover that shows the recorded image: training left the mover out together with its contact, so that the field's
@@ -32,14 +43,16 @@ const FEATHER_M: f64 = 0.15;
 const FEATHER_PX: (usize, usize) = (2, 12);
 /// Half the width in pixels of the transitions at the edges of a mover.
 const RIM_PX: usize = 2;
+/// Masks are this wrong at their edges.
+const MASK_EDGE_PX: usize = 2;
 /// Placed objects reach this far out of their cuboids.
 const OBJECT_MARGIN_M: f64 = 0.2;
 
 /// Puts the recorded image behind the placed objects: wholly where a mover without an asset stands, and around every original mover,
 /// those left out included, except in the `hidden` pixels that a left-out one took. Returns its weight per pixel.
 ///
-/// Colours of movers come from the padded cuboid's silhouette, because mirrors and shadows reach out of annotated boxes; depth and
-/// instance from the cuboid itself. Call it before shadows are cast and labels are made.
+/// Movers are cut out by the log's instance masks. Without one colours come from the padded cuboid's silhouette, because mirrors and
+/// shadows reach out of annotated boxes; depth and instance from the cuboid itself. Call it before shadows are cast and labels are made.
 ///
 /// # Panics
 /// If `recorded.rgb8` is not of its size.
@@ -106,13 +119,11 @@ fn show_mover(
     frame: &mut RenderedFrame,
     weights: &mut [f32],
 ) {
-    let camera = &composition.camera;
-    let camera_from_cuboid = composition.local_from_camera.inverse() * mover.local_from_object;
-    let padded_m = mover.size_m + DVec3::splat(2.0 * PADDING_M);
     let placed_from = placed_from(composition);
-    for_each_pixel(camera, &camera_from_cuboid, padded_m, |i, z_m| {
+    let (around, own_pixels) = extent(composition, recorded, mover);
+    for (i, z_m) in around {
         if hidden[i] {
-            return;
+            continue;
         }
         let color = recorded.at(frame.width, frame.height, i);
         let owner = owner_in_front(composition, frame, i, z_m);
@@ -125,15 +136,41 @@ fn show_mover(
         }
         frame.behind_z_m[i] = z_m as f32;
         weights[i] = 1.0;
-    });
+    }
     let mut alone_px = 0;
-    for_each_pixel(camera, &camera_from_cuboid, mover.size_m, |i, z_m| {
+    for (i, z_m) in own_pixels {
         if !hidden[i] {
             alone_px += 1;
             own(composition, frame, mover.instance_id, i, z_m);
         }
-    });
+    }
     frame.alone_px.push((mover.instance_id, alone_px));
+}
+
+/// Pixels with the camera z of the mover in them.
+type Pixels = Vec<(usize, f64)>;
+
+/// Where a mover's colours come from, and the pixels that it owns: from the log's mask, grown by its edge, or from its cuboid.
+fn extent(
+    composition: &Composition,
+    recorded: &RecordedImage<'_>,
+    mover: &PlacedObject,
+) -> (Pixels, Pixels) {
+    let camera = &composition.camera;
+    let pose = composition.local_from_camera.inverse() * mover.local_from_object;
+    let padded_m = mover.size_m + DVec3::splat(2.0 * PADDING_M);
+    let (mut around, mut own) = (Vec::new(), Vec::new());
+    for_each_pixel(camera, &pose, padded_m, |i, z_m| around.push((i, z_m)));
+    let track_id = mover.track_id.as_deref().unwrap_or_default();
+    let Some(mask) = recorded.mask_of(track_id, camera.width, camera.height) else {
+        for_each_pixel(camera, &pose, mover.size_m, |i, z_m| own.push((i, z_m)));
+        return (around, own);
+    };
+    let mut grown = mask.clone();
+    spread_px(&mut grown, camera.width as usize, [MASK_EDGE_PX; 3]);
+    around.retain(|(i, _)| grown[*i]);
+    own.extend(around.iter().filter(|(i, _)| mask[*i]));
+    (around, own)
 }
 
 /// Fades a replayed mover into its own recorded image where its asset knows least: at its rim, and where its wheels meet the ground.
@@ -294,6 +331,24 @@ fn owner_in_front(
 }
 
 impl RecordedImage<'_> {
+    /// The pixels of a track in an image of another size; `None` if the log's masks show nothing of it.
+    pub(super) fn mask_of(&self, track_id: &str, width: u32, height: u32) -> Option<Vec<bool>> {
+        let masks = self.masks?;
+        let index = masks.tracks.iter().position(|t| t.track_id == track_id)?;
+        let nearest = |pixel: usize, size: u32, of: u32| {
+            (2 * pixel as u64 + 1) * u64::from(of) / (2 * u64::from(size))
+        };
+        let mask: Vec<bool> = (0..width as usize * height as usize)
+            .map(|i| {
+                let column = nearest(i % width as usize, width, self.width);
+                let row = nearest(i / width as usize, height, self.height);
+                let value = masks.values[(row * u64::from(self.width) + column) as usize];
+                usize::from(value) == index + 1
+            })
+            .collect();
+        mask.contains(&true).then_some(mask)
+    }
+
     /// Colour, 0..=1, at the centre of pixel `i` of an image of another size, bilinear.
     pub(super) fn at(&self, width: u32, height: u32, i: usize) -> [f32; 3] {
         let (column, row) = (i % width as usize, i / width as usize);

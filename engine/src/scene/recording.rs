@@ -36,6 +36,9 @@ pub struct RecordedFrame {
     /// Content digest of the recorded image, for whoever holds the blobs; `None` if it is not to be had.
     #[serde(default)]
     pub image: Option<String>,
+    /// Digest of the log's instance mask of that image: 16-bit, 0 or 1 + index into [`Recording::tracks`].
+    #[serde(default)]
+    pub instance_mask: Option<String>,
 }
 
 /// One labelled object through the frames.

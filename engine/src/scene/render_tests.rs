@@ -9,9 +9,10 @@ use super::composition::{Composition, LeftOut, Origin, PlacedObject};
 use super::frame::RenderedFrame;
 use super::labels::{FrameLabel, label};
 use super::projection::corners;
-use super::recorded::{RecordedImage, needs_recorded, show_recorded};
+use super::recorded::{InstanceMask, RecordedImage, needs_recorded, show_recorded};
+use super::recording::RecordedTrack;
 use super::render::{RenderOptions, Scene, render};
-use super::silhouette::silhouette;
+use super::silhouette::{Shape, silhouette};
 use super::solid_field::solid_field;
 use super::valid_region::ValidRegion;
 use crate::camera::Rigid;
@@ -284,6 +285,7 @@ fn a_recorded_mover_takes_its_pixels_from_the_image_behind_what_stands_nearer() 
         width: 2,
         height: 1,
         rgb8: &[7, 200, 9].repeat(2),
+        masks: None,
     };
     let shown = show_recorded(&composition, &recorded, &[false; 160 * 96], &mut frame);
     let labels = labels(&composition, &frame);
@@ -324,6 +326,7 @@ fn around_a_replayed_mover_the_recorded_image_shows_and_nothing_placed_changes()
         width: 1,
         height: 1,
         rgb8: &[7, 200, 9],
+        masks: None,
     };
     let shown = show_recorded(&composition, &recorded, &[false; 160 * 96], &mut frame);
     assert_eq!(frame.instance, before.instance);
@@ -361,6 +364,7 @@ fn left_out_movers_pixels_are_not_shown_again() {
     let mut composition = composition(Vec::new());
     let mover = placed(1, Origin::Recorded, None, 16.0, 0.0);
     composition.left_out = vec![LeftOut {
+        track_id: "lead".into(),
         occupied: mover.occupied(),
         asset: None,
     }];
@@ -370,13 +374,14 @@ fn left_out_movers_pixels_are_not_shown_again() {
         &composition.camera,
         &composition.local_from_camera.inverse(),
         &mover.occupied(),
-        None,
+        Shape::Cuboid,
     );
     let hidden: Vec<bool> = begins.iter().map(|z| z.is_finite()).collect();
     let recorded = RecordedImage {
         width: 1,
         height: 1,
         rgb8: &[7, 200, 9],
+        masks: None,
     };
     let shown = show_recorded(&composition, &recorded, &hidden, &mut frame);
     assert!(hidden.contains(&true) && shown.contains(&1.0));
@@ -399,12 +404,71 @@ fn a_model_narrows_a_silhouette_to_what_it_shows() {
         if inside { 60.0 } else { 0.0 }
     });
     let count = |model: Option<&Field>| {
-        let begins = silhouette(camera, &camera_from_local, &mover, model);
+        let begins = silhouette(camera, &camera_from_local, &mover, Shape::best(None, model));
         begins.iter().filter(|z| z.is_finite()).count()
     };
+    let mask: Vec<bool> = (0..160 * 96).map(|i| i % 160 < 70).collect();
+    let begins = silhouette(camera, &camera_from_local, &mover, Shape::Mask(&mask));
+    let masked = begins.iter().filter(|z| z.is_finite()).count();
+    assert!(masked > 0 && masked < count(None), "{masked}");
     let (padded, full, slim) = (count(None), count(Some(&whole)), count(Some(&slim)));
     assert!(slim < full && full <= padded, "{slim} {full} {padded}");
     assert!(slim * 3 > full, "{slim} {full}");
     let nothing = car([0.5; 3], 0.0);
     assert!(count(Some(&nothing)) < full, "wheels only");
+}
+
+#[test]
+fn the_logs_mask_cuts_a_recorded_mover_out() {
+    let background = background();
+    let mover = PlacedObject {
+        track_id: Some("b".into()),
+        ..placed(1, Origin::Recorded, None, 16.0, 0.0)
+    };
+    let composition = composition(vec![mover.clone()]);
+    let tracks = ["a", "b"].map(|id| RecordedTrack {
+        track_id: id.into(),
+        class: ObjectClass::Car,
+        size_m: CAR,
+        moving: true,
+        local_from_cuboid: Vec::new(),
+    });
+    // The left half of the image belongs to track b, the right half to track a.
+    let values: Vec<u16> = (0..160 * 96)
+        .map(|i| if i % 160 < 80 { 2 } else { 1 })
+        .collect();
+    let rgb8 = vec![40u8; 3 * 160 * 96];
+    let owned = |masks: Option<InstanceMask<'_>>| {
+        let mut frame = shoot(&background, &[], &composition);
+        let recorded = RecordedImage {
+            width: 160,
+            height: 96,
+            rgb8: &rgb8,
+            masks,
+        };
+        show_recorded(&composition, &recorded, &[false; 160 * 96], &mut frame);
+        let own = (0..frame.instance.len()).filter(|i| frame.instance[*i] == 1);
+        own.map(|i| i % 160 < 80).collect::<Vec<bool>>()
+    };
+    let by_cuboid = owned(None);
+    assert!(by_cuboid.contains(&true) && by_cuboid.contains(&false));
+    let by_mask = owned(Some(InstanceMask {
+        values: &values,
+        tracks: &tracks,
+    }));
+    assert!(by_mask.len() > 20 && by_mask.iter().all(|left| *left));
+    // A mask that shows nothing of the track says nothing; one read with the tracks in another order cuts the other half.
+    let elsewhere = vec![7u16; values.len()];
+    let unknown = InstanceMask {
+        values: &elsewhere,
+        tracks: &tracks,
+    };
+    assert_eq!(owned(Some(unknown)), by_cuboid);
+    let [a, b] = tracks;
+    let swapped = [b, a];
+    let wrong = owned(Some(InstanceMask {
+        values: &values,
+        tracks: &swapped,
+    }));
+    assert!(wrong.iter().all(|left| !*left));
 }

@@ -17,31 +17,49 @@ pub(super) const UNDERCARRIAGE_M: (f64, f64) = (0.12, 0.4);
 /// Less is the haze in the band that training could not judge.
 const VISIBLE_TAU: f32 = 0.5;
 
+/// What is known of a mover's shape in the image.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum Shape<'a> {
+    /// The log's own instance mask, row-major.
+    Mask(&'a [bool]),
+    /// Its asset's field.
+    Model(&'a Field),
+    Cuboid,
+}
+
+impl<'a> Shape<'a> {
+    /// The best that there is.
+    pub(super) fn best(mask: Option<&'a [bool]>, model: Option<&'a Field>) -> Self {
+        let model = model.map_or(Self::Cuboid, Self::Model);
+        mask.map_or(model, Self::Mask)
+    }
+}
+
 /// Camera z in metres at which the mover may begin, per pixel, row-major; infinite where it hid nothing.
 ///
-/// With a model of it (its own asset), these are the pixels in which the model shows, with its surroundings of mirrors and
-/// contact; without one, its padded cuboid.
+/// With a mask or a model of it (its own asset), these are the pixels in which it shows, with its surroundings of mirrors and contact;
+/// without either, its padded cuboid.
 pub(super) fn silhouette(
     camera: &Camera,
     camera_from_local: &Rigid,
     mover: &Occupied,
-    model: Option<&Field>,
+    shape: Shape<'_>,
 ) -> Vec<f32> {
     let camera_from_mover = *camera_from_local * mover.local_from_cuboid;
-    let padding_m = if model.is_some() {
-        LOOSE_CUBOID_M
-    } else {
-        PADDING_M
+    let padding_m = match shape {
+        Shape::Cuboid => PADDING_M,
+        _ => LOOSE_CUBOID_M,
     };
     let mut begins = vec![f32::INFINITY; camera.pixel_count()];
     let padded_m = mover.size_m + DVec3::splat(2.0 * padding_m);
     for_each_pixel(camera, &camera_from_mover, padded_m, |i, z_m| {
         begins[i] = z_m as f32;
     });
-    let Some(field) = model else {
-        return begins;
+    let mut covered = match shape {
+        Shape::Cuboid => return begins,
+        Shape::Mask(mask) => mask.to_vec(),
+        Shape::Model(field) => visible(camera, &camera_from_mover, field, &begins),
     };
-    let mut covered = visible(camera, &camera_from_mover, field, &begins);
     grow(&mut covered, camera, &camera_from_mover, mover.size_m);
     let (low_m, high_m) = UNDERCARRIAGE_M;
     let middle = DVec3::Z * (0.5 * (low_m + high_m - mover.size_m.z));
@@ -90,6 +108,12 @@ fn grow(covered: &mut [bool], camera: &Camera, camera_from_mover: &Rigid, size_m
     let aside = px(aside_m, camera.focal_px.x, width);
     let up = px(up_m, camera.focal_px.y, height);
     let down = px(down_m, camera.focal_px.y, height);
+    spread_px(covered, width, [aside, up, down]);
+}
+
+/// Grows a mask by so many pixels: sideways, up, down.
+pub(super) fn spread_px(covered: &mut [bool], width: usize, [aside, up, down]: [usize; 3]) {
+    let height = covered.len() / width;
     let mut line = Vec::new();
     for row in covered.chunks_exact_mut(width) {
         line.clear();

@@ -1,12 +1,10 @@
 //! Matches the light of an object from another log to the light of the scene it is placed in.
 
-use glam::DVec3;
-
-use super::composition::{Candidate, Composition, LeftOut, Origin, Stage};
+use super::composition::{Candidate, Composition, Origin, Stage};
+use super::finish::left_out_silhouette;
 use super::hull::for_each_pixel;
 use super::recorded::RecordedImage;
 use super::render::{RenderOptions, Scene, SceneObject, render};
-use super::silhouette::silhouette;
 use crate::Result;
 use crate::field::Field;
 
@@ -82,12 +80,9 @@ pub fn match_tones<'a>(
             continue;
         };
         let target = match object.origin {
-            Origin::Replaced => replaced_pixels(
-                composition,
-                object.local_from_object.translation_m,
-                recorded,
-                &model,
-            ),
+            Origin::Replaced => {
+                replaced_pixels(composition, object.track_id.as_deref(), recorded, &model)
+            }
             _ => vehicle_pixels(composition, recorded),
         };
         let source = own_pixels(scene, in_scene, cancelled)?;
@@ -125,30 +120,20 @@ fn own_pixels(
         .collect())
 }
 
-/// Recorded colours of the left-out mover that stood nearest to `at`.
+/// Recorded colours of the left-out mover of a track.
 fn replaced_pixels<'a>(
     composition: &Composition,
-    at: DVec3,
+    track_id: Option<&str>,
     recorded: &RecordedImage<'_>,
     model: &impl Fn(usize) -> Option<&'a Field>,
 ) -> Vec<[f32; 3]> {
-    let distance = |m: &LeftOut| (m.occupied.local_from_cuboid.translation_m - at).length();
     let mut movers = composition.left_out.iter();
-    let Some(first) = movers.next() else {
+    let Some(mover) = movers.find(|m| Some(m.track_id.as_str()) == track_id) else {
         return Vec::new();
     };
-    let mover = movers.fold(first, |best, m| {
-        if distance(m) < distance(best) {
-            m
-        } else {
-            best
-        }
-    });
     let camera = &composition.camera;
-    let camera_from_local = composition.local_from_camera.inverse();
-    let field = mover.asset.and_then(model);
-    let begins = silhouette(camera, &camera_from_local, &mover.occupied, field);
-    let pose = camera_from_local * mover.occupied.local_from_cuboid;
+    let begins = left_out_silhouette(composition, Some(recorded), mover, model);
+    let pose = composition.local_from_camera.inverse() * mover.occupied.local_from_cuboid;
     let mut pixels = Vec::new();
     for_each_pixel(camera, &pose, mover.occupied.size_m * CORE, |i, _| {
         if begins[i].is_finite() {

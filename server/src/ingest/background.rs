@@ -94,6 +94,7 @@ pub(crate) fn recording(log: &DriveLog) -> Recording {
                 local_from_camera: log.local_from_world * log.world_from_camera(frame)?,
                 local_from_ego: log.local_from_world * world_from_ego,
                 image: Some(frame.image.digest.to_string()),
+                instance_mask: frame.instance_mask.as_ref().map(|b| b.digest.to_string()),
             };
             Some((recorded, frame.timestamp_ns))
         })

@@ -34,7 +34,7 @@ pub(crate) use background::{BackgroundSet, background_set, recording};
 pub use content::LogBlobs;
 pub use frame::FrameError;
 pub use image::ImageError;
-pub(crate) use image::decode_rgb;
+pub(crate) use image::{decode_instance_mask, decode_rgb};
 pub(crate) use object::{ObjectSet, object_set};
 pub(crate) use object_plan::{Rejections, TrackPlan, plan_objects};
 pub use validate::{Accepted, validate};

@@ -4,8 +4,8 @@ use std::sync::Arc;
 
 use backlot_engine::asset::AssetKind;
 use backlot_engine::scene::{
-    Candidate, Composition, Draws, Recipe, RecordedImage, RenderOptions, Scene, Stage, compose,
-    finish, label, match_tones, needs_recorded, render,
+    Candidate, Composition, Draws, InstanceMask, Recipe, RecordedImage, RecordedTrack,
+    RenderOptions, Scene, Stage, compose, finish, label, match_tones, needs_recorded, render,
 };
 use backlot_engine::{Asset, Error as EngineError};
 
@@ -15,7 +15,7 @@ use super::library::{self, Objects};
 use super::sample::{Sample, SampleObject, boxes, encode_planes};
 use crate::domain::blob::Digest;
 use crate::domain::ids::AssetId;
-use crate::ingest::decode_rgb;
+use crate::ingest::{decode_instance_mask, decode_rgb};
 
 /// Draws of attempt numbers that no placement reaches.
 const GRAIN: u32 = u32::MAX;
@@ -94,7 +94,8 @@ impl RecipeSamples {
         let field = |i: usize| assets[i].as_deref().map(|asset| &asset.field);
         let mut scene = Scene::of_composition(&self.background.field, &composition, field)?;
         let recorded = self.recorded_image(&stage, &composition)?;
-        let recorded = recorded.as_ref().map(Decoded::image);
+        let tracks = &stage.recording.tracks;
+        let recorded = recorded.as_ref().map(|decoded| decoded.image(tracks));
         let matched = recorded
             .as_ref()
             .filter(|_| self.request.recipe.match_tones);
@@ -185,10 +186,22 @@ impl RecipeSamples {
         let bytes = self.cache.store().blobs().read(&digest)?;
         let (width, height) = (camera.width, camera.height);
         let rgb8 = decode_rgb(&bytes, (width, height)).map_err(|e| unusable(e.to_string()))?;
+        let mask = match &recorded.instance_mask {
+            None => None,
+            Some(digest) => {
+                let digest = digest
+                    .parse::<Digest>()
+                    .map_err(|_| unusable("has no mask of its name".to_owned()))?;
+                let bytes = self.cache.store().blobs().read(&digest)?;
+                let mask = decode_instance_mask(&bytes, (width, height));
+                Some(mask.map_err(|e| unusable(e.to_string()))?)
+            }
+        };
         Ok(Some(Decoded {
             width,
             height,
             rgb8,
+            instance: mask,
         }))
     }
 
@@ -219,14 +232,19 @@ struct Decoded {
     width: u32,
     height: u32,
     rgb8: Vec<u8>,
+    instance: Option<Vec<u16>>,
 }
 
 impl Decoded {
-    fn image(&self) -> RecordedImage<'_> {
+    fn image<'a>(&'a self, tracks: &'a [RecordedTrack]) -> RecordedImage<'a> {
         RecordedImage {
             width: self.width,
             height: self.height,
             rgb8: &self.rgb8,
+            masks: self
+                .instance
+                .as_ref()
+                .map(|values| InstanceMask { values, tracks }),
         }
     }
 }
