@@ -205,14 +205,17 @@ fn add_grain(
         let from = ring[draws.below(ring.len())];
         let grain = grain_at(width, texels, parts, from);
         for (value, grain) in texels[i].iter_mut().zip(grain) {
-            *value = (*value + grain).clamp(0.0, 1.0);
+            *value = (*value * (1.0 + grain)).clamp(0.0, 1.0);
         }
     }
 }
 
-/// Colour of a known pixel less the mean of its known neighbours. Edges are no grain: they give none.
+/// How far a known pixel differs from the mean of its known neighbours, as a part of that mean: shade has fainter grain than sun.
+/// Edges are no grain: they give none.
 fn grain_at(width: usize, texels: &[Texel], parts: &[Part], i: usize) -> [f32; 3] {
-    const EDGE: f32 = 0.06;
+    const EDGE: f32 = 0.15;
+    /// Of less, the recorded steps of 1/255 would be taken for grain.
+    const DARKEST: f32 = 0.05;
     let (mut sum, mut count) = ([0.0; 3], 0.0f32);
     for n in neighbours(width, parts.len(), i).filter(|n| parts[*n] == Part::Known) {
         count += 1.0;
@@ -220,7 +223,8 @@ fn grain_at(width: usize, texels: &[Texel], parts: &[Part], i: usize) -> [f32; 3
             *sum += value;
         }
     }
-    let grain: [f32; 3] = std::array::from_fn(|c| texels[i][c] - sum[c] / count.max(1.0));
+    let mean = sum.map(|s: f32| (s / count.max(1.0)).max(DARKEST));
+    let grain: [f32; 3] = std::array::from_fn(|c| texels[i][c] / mean[c] - 1.0);
     let is_grain = count > 0.0 && grain.iter().all(|g| g.abs() < EDGE);
     if is_grain { grain } else { [0.0; 3] }
 }
