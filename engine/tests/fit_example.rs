@@ -77,6 +77,11 @@ fn fit(scene: &Path, arguments: &[&str]) -> Output {
         .and_then(Path::parent)
         .unwrap()
         .join("examples/fit");
+    assert!(
+        built.is_file(),
+        "{} is missing: `cargo test` builds it, but `cargo test --test` does not; run `cargo build --example fit` first",
+        built.display()
+    );
     Command::new(built)
         .arg(scene)
         .args(arguments)
