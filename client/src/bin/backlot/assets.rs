@@ -1,5 +1,7 @@
 //! `backlot assets`.
 
+use std::fmt;
+
 use anyhow::Context;
 use backlot_client::download::download_blob;
 use backlot_client::geometry::vector_from_wire;
@@ -68,11 +70,49 @@ fn show(row: &AssetRow, output: Output) -> anyhow::Result<()> {
     }
     // Field by field, as the record has more of them than a line has room for.
     if let serde_json::Value::Object(fields) = serde_json::to_value(row)? {
-        for (field, value) in fields {
+        for (field, value) in fields.into_iter().filter(|f| f.0 != "seen_from") {
             println!("{field:24} {}", value.to_string().trim_matches('"'));
         }
     }
+    let sectors: Vec<String> = row.seen_from.iter().map(Sector::to_string).collect();
+    if !sectors.is_empty() {
+        println!("{:24} {}", "seen_from", sectors.join(", "));
+    }
     Ok(())
+}
+
+/// One of the 15-degree sectors from which an object was seen.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+struct Sector {
+    /// Where the sector begins; 0 is the object's front, turning left.
+    azimuth_deg: u32,
+    views: u32,
+    /// Only the mirror image was seen from here.
+    mirrored: bool,
+}
+
+impl fmt::Display for Sector {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self.mirrored {
+            true => write!(f, "{} deg: mirrored", self.azimuth_deg),
+            false => write!(f, "{} deg: {} views", self.azimuth_deg, self.views),
+        }
+    }
+}
+
+/// The sectors that were seen, directly or mirrored.
+fn seen_from(quality: &v1::QualityReport) -> Vec<Sector> {
+    let count = quality.azimuth_histogram.len().max(1) as u32;
+    let mirrored = |at: usize| quality.azimuth_mirrored.get(at).is_some_and(|m| *m);
+    let sectors = quality.azimuth_histogram.iter().enumerate();
+    sectors
+        .filter(|(at, views)| **views > 0 || mirrored(*at))
+        .map(|(at, views)| Sector {
+            azimuth_deg: at as u32 * 360 / count,
+            views: *views,
+            mirrored: *views == 0,
+        })
+        .collect()
 }
 
 /// An asset as scripts see it.
@@ -92,7 +132,14 @@ pub(crate) struct AssetRow {
     depth_mae_m: Option<f64>,
     train_views: u32,
     held_out_views: u32,
+    held_out_frames: Vec<u32>,
+    accumulation_in_mask: Option<f64>,
+    halo: Option<f64>,
+    seen_from: Vec<Sector>,
+    image_size_px: Option<[u32; 2]>,
     train_seconds: f64,
+    train_rays: u64,
+    peak_rss_bytes: Option<u64>,
     voxel_size_m: f64,
     synthetic: bool,
     bytes: u64,
@@ -126,7 +173,17 @@ impl AssetRow {
             depth_mae_m: measured(quality.depth_mae_m),
             train_views: quality.train_views,
             held_out_views: quality.held_out_views,
+            accumulation_in_mask: is_object
+                .then(|| measured(quality.accumulation_in_mask))
+                .flatten(),
+            halo: is_object.then(|| measured(quality.halo)).flatten(),
+            seen_from: seen_from(&quality),
+            image_size_px: (quality.image_width_px > 0)
+                .then_some([quality.image_width_px, quality.image_height_px]),
+            held_out_frames: quality.held_out_frames,
             train_seconds: quality.train_seconds,
+            train_rays: quality.train_rays,
+            peak_rss_bytes: (quality.peak_rss_bytes > 0).then_some(quality.peak_rss_bytes),
             voxel_size_m: quality.voxel_size_m,
             synthetic: asset.synthetic,
             bytes: payload.size_bytes,
@@ -164,5 +221,47 @@ impl Row for AssetRow {
             output::mebibytes(self.bytes),
             self.created.clone().unwrap_or_default(),
         ]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_objects_whole_report_is_shown_and_mirrored_sectors_are_marked() {
+        let mut histogram = vec![0; 24];
+        let mut mirrored = vec![false; 24];
+        (histogram[1], mirrored[22]) = (4, true);
+        let asset = v1::Asset {
+            kind: v1::AssetKind::Object.into(),
+            quality: Some(v1::QualityReport {
+                halo: 0.125,
+                accumulation_in_mask: 0.97,
+                azimuth_histogram: histogram,
+                azimuth_mirrored: mirrored,
+                held_out_frames: vec![4, 12],
+                peak_rss_bytes: 1 << 30,
+                train_rays: 77,
+                ..Default::default()
+            }),
+            ..Default::default()
+        };
+        let row = AssetRow::new(&asset);
+        let shown: Vec<String> = row.seen_from.iter().map(Sector::to_string).collect();
+        assert_eq!(shown, ["15 deg: 4 views", "330 deg: mirrored"]);
+        let json = serde_json::to_value(&row).unwrap();
+        let figures = [
+            "halo",
+            "accumulation_in_mask",
+            "peak_rss_bytes",
+            "train_rays",
+        ];
+        assert!(
+            figures.iter().all(|figure| json[figure].is_number()),
+            "{json}"
+        );
+        assert_eq!(json["held_out_frames"], serde_json::json!([4, 12]));
+        assert_eq!(json["seen_from"][1]["mirrored"], true);
     }
 }
