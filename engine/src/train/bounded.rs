@@ -141,3 +141,64 @@ fn prepare(input: &BoundedInput, preset: &TrainPreset, seed: u64) -> Result<Fiel
     field.occupancy = survey(&field, preset.step_voxels, |_: Vec3, _| true);
     Ok(field)
 }
+
+#[cfg(test)]
+mod tests {
+    use glam::{DQuat, DVec2};
+
+    use super::*;
+    use crate::camera::{Distortion, Rigid};
+    use crate::view::PixelLabel;
+
+    /// Cameras on a sphere of this radius around `centre`, looking at it or, if `away`, away from it.
+    fn cameras(centre: DVec3, radius: f64, away: bool) -> Vec<TrainView> {
+        let directions = (0..24).map(|i| {
+            let (turn, height) = (f64::from(i) * 2.4, f64::from(i) / 24.0 - 0.3);
+            let across = (1.0 - height * height).sqrt();
+            DVec3::new(across * turn.cos(), across * turn.sin(), height)
+        });
+        directions
+            .map(|out| {
+                let forward = if away { out } else { -out };
+                let right = forward.cross(DVec3::Z).normalize();
+                let axes = DMat3::from_cols(right, forward.cross(right), forward);
+                TrainView {
+                    frame_index: 0,
+                    camera: Camera {
+                        width: 8,
+                        height: 8,
+                        focal_px: DVec2::splat(8.0),
+                        principal_px: DVec2::splat(4.0),
+                        distortion: Distortion::None,
+                    },
+                    local_from_camera: Rigid::new(
+                        DQuat::from_mat3(&axes).normalize(),
+                        centre + out * radius,
+                    ),
+                    rgb: vec![0; 192],
+                    labels: vec![PixelLabel::Foreground; 64],
+                    depth: Vec::new(),
+                    split: Split::Train,
+                }
+            })
+            .collect()
+    }
+
+    #[test]
+    fn the_box_holds_what_nearly_all_cameras_see_wherever_the_scene_is() {
+        let centre = DVec3::new(3.0, -7.0, 2.0);
+        let (low, high) = seen_box(&cameras(centre, 4.0, false)).unwrap();
+        // Half the view's width at the centre: 4 m * 4 px / 8 px. The common part is a little more than that ball.
+        let half = (high - low) / 2.0;
+        assert!(((low + high) / 2.0).distance(centre) < 0.5, "{low} {high}");
+        assert!(
+            half.min_element() > 1.3 && half.max_element() < 2.9,
+            "{half}"
+        );
+    }
+
+    #[test]
+    fn cameras_that_look_apart_share_no_box() {
+        assert!(seen_box(&cameras(DVec3::ZERO, 4.0, true)).is_err());
+    }
+}

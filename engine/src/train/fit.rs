@@ -186,3 +186,47 @@ fn quantile(values: &[f32], q: f64) -> f32 {
     let at = (values.len() as f64 * q) as usize;
     sorted.get(at).copied().unwrap_or(f32::INFINITY)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn rates_settle_with_the_passes_and_decay_with_the_run() {
+        let preset = TrainPreset::fast(2.0, 0.02);
+        let at = |done, passes| rates_at(&preset, done, passes).density;
+        assert_eq!(at(0.0, 0.0), preset.rates.density);
+        let halfway = at(0.0, preset.settle_passes) / preset.rates.density;
+        assert!((halfway - 0.5f32.powf(0.75)).abs() < 1e-6, "{halfway}");
+        assert!((at(1.0, 0.0) / preset.rates.density - preset.rate_decay).abs() < 1e-6);
+        let never = TrainPreset {
+            settle_passes: f64::INFINITY,
+            ..preset
+        };
+        assert_eq!(rates_at(&never, 0.0, 1e6).density, never.rates.density);
+    }
+
+    #[test]
+    fn steps_take_as_many_rays_as_their_colours_allow() {
+        let mut preset = TrainPreset::fast(2.0, 0.02);
+        preset.mix.pixel_rays = 4_096;
+        preset.most_colored = 10_000;
+        let rays = |colored, rays| affordable_rays(&preset, colored, rays);
+        // Ten colours a ray: a thousand rays.
+        assert_eq!(rays(20_000, 2_000), 1_000);
+        assert_eq!(rays(0, 2_000), 4_096);
+        assert_eq!(rays(u64::MAX, 2_000), LEAST_RAYS as usize);
+    }
+
+    #[test]
+    fn surveys_are_due_by_steps_or_by_fractions() {
+        use super::super::preset::Surveys;
+        let steps = Surveys::AtSteps(vec![10, 20]);
+        assert_eq!(
+            (steps.due(9, 1.0), steps.due(10, 0.0), steps.due(25, 0.0)),
+            (0, 1, 2)
+        );
+        let fractions = Surveys::AtFractions(vec![0.1, 0.5]);
+        assert_eq!((fractions.due(1_000, 0.0), fractions.due(0, 0.5)), (0, 2));
+    }
+}
