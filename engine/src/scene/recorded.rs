@@ -119,7 +119,7 @@ fn show_mover(
     frame: &mut RenderedFrame,
     weights: &mut [f32],
 ) {
-    let placed_from = placed_from(composition);
+    let placed_from = placed_from(composition, mover.instance_id);
     let (around, own_pixels) = extent(composition, recorded, mover);
     for (i, z_m) in around {
         if hidden[i] {
@@ -194,8 +194,11 @@ fn show_rim(
     soften(&mut kept, frame.width as usize, RIM_PX);
     let size_m = mover.size_m + DVec3::splat(2.0 * OBJECT_MARGIN_M);
     let camera_from_object = object_from_camera.inverse();
+    let others = placed_from(composition, mover.instance_id);
     for_each_pixel(camera, &camera_from_object, size_m, |i, _| {
-        if frame.instance[i] == mover.instance_id || frame.instance[i] == 0 {
+        // Nobody's pixel may hold another object's edge.
+        let edge = frame.instance[i] == 0 && others[i] == f32::INFINITY;
+        if edge || frame.instance[i] == mover.instance_id {
             let color = recorded.at(frame.width, frame.height, i);
             let keep = kept[i];
             let placed = frame.placed_rgb[i].map(|c| keep * c);
@@ -280,11 +283,12 @@ fn box_mean(line: &[f32], radius: usize, mut put: impl FnMut(usize, f32)) {
     }
 }
 
-/// Camera z from which on a placed object may be, per pixel.
-fn placed_from(composition: &Composition) -> Vec<f32> {
+/// Camera z from which on a placed object other than `except` may be, per pixel.
+fn placed_from(composition: &Composition, except: u16) -> Vec<f32> {
     let camera_from_local = composition.local_from_camera.inverse();
     let mut from = vec![f32::INFINITY; composition.camera.pixel_count()];
-    for object in composition.objects.iter().filter(|o| o.asset.is_some()) {
+    let placed = |o: &&PlacedObject| o.asset.is_some() && o.instance_id != except;
+    for object in composition.objects.iter().filter(placed) {
         let pose = camera_from_local * object.local_from_object;
         let size_m = object.size_m + DVec3::splat(2.0 * OBJECT_MARGIN_M);
         for_each_pixel(&composition.camera, &pose, size_m, |i, z_m| {
