@@ -28,7 +28,7 @@ fn trace(eye: DVec3, direction: DVec3) -> [u8; 4] {
 }
 
 fn write_split(folder: &Path, name: &str, views: u32, offset: f64) {
-    fs::create_dir_all(folder.join(name)).unwrap();
+    fs::create_dir_all(folder.join(name)).expect("a folder");
     let mut frames = Vec::new();
     for view in 0..views {
         let turn = TAU * (f64::from(view) + offset) / f64::from(views);
@@ -45,7 +45,7 @@ fn write_split(folder: &Path, name: &str, views: u32, offset: f64) {
         });
         image
             .save(folder.join(format!("{name}/r_{view}.png")))
-            .unwrap();
+            .expect("an image file");
         let row = |r: usize| [pose.col(0)[r], pose.col(1)[r], pose.col(2)[r], eye[r]];
         frames.push(json!({
             "file_path": format!("./{name}/r_{view}"),
@@ -57,7 +57,7 @@ fn write_split(folder: &Path, name: &str, views: u32, offset: f64) {
         folder.join(format!("transforms_{name}.json")),
         transforms.to_string(),
     )
-    .unwrap();
+    .expect("a file");
 }
 
 /// A fresh scene folder under the build's temporary folder.
@@ -71,11 +71,11 @@ fn scene(name: &str) -> PathBuf {
 
 fn fit(scene: &Path, arguments: &[&str]) -> Output {
     // Cargo builds a package's examples before its tests run: .../deps/fit_example-HASH and .../examples/fit.
-    let test = std::env::current_exe().unwrap();
+    let test = std::env::current_exe().expect("a path");
     let built = test
         .parent()
         .and_then(Path::parent)
-        .unwrap()
+        .expect("a build folder")
         .join("examples/fit");
     assert!(
         built.is_file(),
@@ -86,7 +86,7 @@ fn fit(scene: &Path, arguments: &[&str]) -> Output {
         .arg(scene)
         .args(arguments)
         .output()
-        .unwrap()
+        .expect("the example starts")
 }
 
 #[test]
