@@ -84,9 +84,9 @@ const SHORT: Scale = Scale {
     rays: 768,
 };
 const LONG: Scale = Scale {
-    views: 40,
-    steps: 2_000,
-    rays: 2_048,
+    views: 30,
+    steps: 800,
+    rays: 1_024,
 };
 
 fn object_preset(scale: Scale) -> TrainPreset {
@@ -150,19 +150,24 @@ fn symmetry_shows_the_unseen_side() {
     assert!(mirrored.psnr > plain.psnr + 3.0, "{mirrored:?} {plain:?}");
 }
 
+fn background_preset(scale: Scale) -> TrainPreset {
+    let mut preset = TrainPreset::background(Budget::Standard);
+    preset.voxels_m = vec![1.6, 0.4];
+    preset.level_reach_m = vec![f32::INFINITY; 2];
+    preset.box_reach_m = 20.0;
+    preset.mlp_width = 32;
+    preset.steps = scale.steps;
+    preset.most_passes = f64::INFINITY;
+    preset.mix.pixel_rays = scale.rays;
+    preset.mix.depth_rays = scale.rays / 4;
+    preset
+}
+
 /// PSNR and depth error on held-out views of a drive: without depth supervision, with it, and with the paper's.
 fn depth(scale: Scale, seed: u64) -> [(f64, f64); 3] {
     let input = scene::drive(scale.views);
     let run = |weight: f32, form: DepthForm| {
-        let mut preset = TrainPreset::background(Budget::Standard);
-        preset.voxels_m = vec![1.6, 0.4];
-        preset.level_reach_m = vec![f32::INFINITY; 2];
-        preset.box_reach_m = 20.0;
-        preset.mlp_width = 32;
-        preset.steps = scale.steps;
-        preset.most_passes = f64::INFINITY;
-        preset.mix.pixel_rays = scale.rays;
-        preset.mix.depth_rays = scale.rays / 4;
+        let mut preset = background_preset(scale);
         preset.mix.depth_weight = weight;
         preset.losses.depth = form;
         let trained = train_background(&input, &preset, seed, &NoControl);
@@ -187,6 +192,48 @@ fn depth_supervision_lowers_the_depth_error() {
     let [without, with, paper] = depth(scale, SEED);
     eprintln!("without {without:?}\nwith {with:?}\nL1 of the composited range {paper:?}");
     assert!(with.1 < 0.8 * without.1, "{with:?} {without:?}");
+}
+
+/// Held-out PSNR on unevenly exposed training views, without and with per-view exposure.
+fn exposure(scale: Scale, seed: u64) -> [f64; 2] {
+    let input = scene::with_uneven_exposure(scene::drive(scale.views));
+    [0.0, 0.005].map(|rate| {
+        let mut preset = background_preset(scale);
+        preset.rates.exposure = rate;
+        let trained = train_background(&input, &preset, seed, &NoControl);
+        let quality = trained.expect("the scene is sound").quality;
+        quality.psnr_held_out.expect("views were held out")
+    })
+}
+
+#[test]
+fn per_view_exposure_recovers_uneven_exposure() {
+    let scale = Scale {
+        steps: 150,
+        ..SHORT
+    };
+    let [without, with] = exposure(scale, SEED);
+    eprintln!("exposure: without {without:.2} dB, with {with:.2} dB");
+    assert!(with > without + 0.15, "{with} {without}");
+}
+
+/// Figures on true poses after training on jittered ones, without and with pose refinement.
+fn poses(scale: Scale, seed: u64) -> [Figures; 2] {
+    let input = scene::with_pose_jitter(scene::one_sided(scale.views, false, false));
+    let views = scene::unseen(false);
+    [0.0, 0.002].map(|rate| {
+        let mut preset = object_preset(scale);
+        preset.rates.pose_m = rate;
+        preset.options.poses_from = 0.1;
+        figures(&fit(&input, &preset, seed), &views)
+    })
+}
+
+#[test]
+fn pose_refinement_sharpens_an_object_with_jittered_cuboids() {
+    let [without, with] = poses(SHORT, SEED);
+    eprintln!("poses: without {without:?}\n  with {with:?}");
+    assert!(with.psnr > without.psnr + 0.3, "{with:?} {without:?}");
 }
 
 const SEEDS: [u64; 3] = [7, 8, 9];
@@ -220,5 +267,17 @@ fn long_depth() {
         let [without, with, paper] = depth(LONG, seed);
         eprintln!("seed {seed}\n  without {without:?}\n  with {with:?}\n  composited L1 {paper:?}");
         assert!(with.1 < 0.8 * without.1 && paper.1 < without.1);
+    }
+}
+
+#[test]
+#[ignore = "minutes; prints the figures of docs/method.md"]
+fn long_corrections() {
+    for seed in SEEDS {
+        let [plain, exposed] = exposure(LONG, seed);
+        let [jittered, refined] = poses(LONG, seed);
+        eprintln!("seed {seed}\n  exposure: without {plain:.2} dB, with {exposed:.2} dB");
+        eprintln!("  poses: without {jittered:?}\n  with {refined:?}");
+        assert!(exposed > plain && refined.psnr > jittered.psnr);
     }
 }

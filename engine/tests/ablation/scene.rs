@@ -289,3 +289,34 @@ pub(crate) fn drive(frames: u32) -> BackgroundInput {
         ego_path,
     }
 }
+
+/// A number in -1..1 that differs from view to view and sums to nearly nothing.
+fn wobble(number: u32, phase: f64) -> f64 {
+    (f64::from(number) * 2.399 + phase).sin()
+}
+
+/// Training views exposed up to a quarter brighter or darker than the held-out ones.
+pub(crate) fn with_uneven_exposure(mut input: BackgroundInput) -> BackgroundInput {
+    let train = input.views.iter_mut().filter(|v| v.split == Split::Train);
+    for (number, view) in (0..).zip(train) {
+        let gain = (0.25 * wobble(number, 0.0)).exp();
+        for value in &mut view.rgb {
+            *value = (f64::from(*value) * gain).round().min(255.0) as u8;
+        }
+    }
+    input
+}
+
+/// Recorded poses off by up to 8 cm and 1.5 degrees of heading, as annotated cuboids jitter.
+pub(crate) fn with_pose_jitter(mut input: ObjectInput) -> ObjectInput {
+    for (number, view) in (0..).zip(&mut input.views) {
+        let shift = DVec3::new(
+            0.08 * wobble(number, 1.0),
+            0.08 * wobble(number, 2.5),
+            0.03 * wobble(number, 4.0),
+        );
+        let turn = Rigid::from_heading(1.5f64.to_radians() * wobble(number, 5.0), shift);
+        view.local_from_camera = turn * view.local_from_camera;
+    }
+    input
+}
