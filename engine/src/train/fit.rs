@@ -71,7 +71,7 @@ pub(super) fn fit(
         };
         losses.min_weight = preset
             .options
-            .min_weight(step)
+            .min_weight(done)
             .unwrap_or(preset.losses.min_weight);
         sampler.draw(step, &mix, &mut rays);
         let passes = run.rays as f64 / sampler.pixel_count() as f64;

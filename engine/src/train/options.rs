@@ -8,18 +8,18 @@ pub struct TrainOptions {
     pub dense_voxels: u64,
     /// Least and greatest voxel edge of a dense box in metres.
     pub dense_voxel_m: (f64, f64),
-    /// `(step, weight)`, ascending: from this step on, lighter samples take no part in colour. Before the first entry
+    /// `(fraction of the run, weight)`, ascending: from then on, lighter samples take no part in colour. Before the first entry
     /// [`super::ray::RayLosses::min_weight`] holds. Untouched space is coloured at first and must not stay so, and a
     /// threshold that is high from the start would keep it from ever being coloured.
-    pub min_weights: Vec<(u64, f32)>,
+    pub min_weights: Vec<(f64, f32)>,
     /// Fraction of the run from which poses are refined: before there is a shape, there is nothing to align with.
     pub poses_from: f64,
 }
 
 impl TrainOptions {
-    /// The weight below which samples are not coloured at `step`.
-    pub fn min_weight(&self, step: u64) -> Option<f32> {
-        let begun = self.min_weights.iter().rev().find(|(at, _)| step >= *at);
+    /// The weight below which samples are not coloured once the fraction `done` of the run is.
+    pub fn min_weight(&self, done: f64) -> Option<f32> {
+        let begun = self.min_weights.iter().rev().find(|(at, _)| done >= *at);
         begun.map(|(_, weight)| *weight)
     }
 }
@@ -29,13 +29,13 @@ mod tests {
     use super::*;
 
     #[test]
-    fn thresholds_follow_the_steps() {
+    fn thresholds_follow_the_run() {
         let options = TrainOptions {
-            min_weights: vec![(10, 1e-5), (20, 1e-4)],
+            min_weights: vec![(0.1, 1e-5), (0.2, 1e-4)],
             ..TrainOptions::default()
         };
-        let at = [0, 10, 19, 20, 1_000].map(|step| options.min_weight(step));
+        let at = [0.0, 0.1, 0.19, 0.2, 1.0].map(|done| options.min_weight(done));
         assert_eq!(at, [None, Some(1e-5), Some(1e-5), Some(1e-4), Some(1e-4)]);
-        assert_eq!(TrainOptions::default().min_weight(5), None);
+        assert_eq!(TrainOptions::default().min_weight(0.5), None);
     }
 }

@@ -1,7 +1,7 @@
 //! The presets with the constants of Drive-3DAug, on top of DVGO's recipe for unbounded scenes where the paper is silent.
 
 use super::options::TrainOptions;
-use super::preset::{Budget, TrainPreset};
+use super::preset::{Budget, Surveys, TrainPreset};
 use super::ray::{DepthForm, RayLosses};
 use super::sampler::RayMix;
 
@@ -9,16 +9,19 @@ use super::sampler::RayMix;
 const VOXELS: u64 = 330 * 330 * 330;
 /// "0.25-0.3 m".
 const VOXEL_M: (f64, f64) = (0.25, 0.3);
-/// DVGO's fast colour thresholds for unbounded scenes.
-const THRESHOLDS: [(u64, f32); 7] = [
-    (0, 5e-6),
-    (1_500, 1e-5),
-    (2_500, 2.5e-5),
-    (3_500, 3.33e-5),
-    (4_500, 5e-5),
-    (5_500, 1e-4),
-    (6_500, 1e-4),
+/// DVGO's fast colour thresholds for unbounded scenes, whose steps 1,500 to 5,500 are of 40,000.
+const THRESHOLDS: [(f64, f32); 6] = [
+    (0.0, 5e-6),
+    (0.0375, 1e-5),
+    (0.0625, 2.5e-5),
+    (0.0875, 3.33e-5),
+    (0.1125, 5e-5),
+    (0.1375, 1e-4),
 ];
+/// Coloured samples of a step: DVGO starts on a grid of 50^3, where rays have few; here the first steps take fewer rays.
+const MOST_COLORED: u64 = 1 << 19;
+/// Open space is cleared as early as DVGO's grid grows, at steps 2,000 to 16,000.
+const SURVEYS: [f64; 5] = [0.02, 0.05, 0.1, 0.2, 0.4];
 
 impl TrainPreset {
     /// A dense flat box of at most 36 M voxels of 0.25 to 0.3 m, 40,000 steps of 4,096 rays, colour and L1 depth at equal weight.
@@ -31,6 +34,8 @@ impl TrainPreset {
             mlp_width: 128,
             steps: 40_000,
             most_passes: f64::INFINITY,
+            most_colored: MOST_COLORED,
+            surveys: Surveys::AtFractions(SURVEYS.to_vec()),
             // 36 M voxels with their optimiser state are 2.2 GB.
             memory_bytes: 3 << 30,
             mix: RayMix {
