@@ -196,9 +196,9 @@ fn show_rim(
     let camera_from_object = object_from_camera.inverse();
     let others = placed_from(composition, mover.instance_id);
     for_each_pixel(camera, &camera_from_object, size_m, |i, _| {
-        // Nobody's pixel may hold another object's edge.
-        let edge = frame.instance[i] == 0 && others[i] == f32::INFINITY;
-        if edge || frame.instance[i] == mover.instance_id {
+        // Where another object may show its edge, the two cannot be told apart.
+        let own = frame.instance[i] == mover.instance_id || frame.instance[i] == 0;
+        if own && others[i] == f32::INFINITY {
             let color = recorded.at(frame.width, frame.height, i);
             let keep = kept[i];
             let placed = frame.placed_rgb[i].map(|c| keep * c);
