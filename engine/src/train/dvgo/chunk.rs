@@ -157,7 +157,7 @@ impl<const C: usize> Chunk<C> {
         self.find_bricks(setting.medium.shape);
     }
 
-    fn find_bricks(&mut self, shape: &Shape) {
+    pub(super) fn find_bricks(&mut self, shape: &Shape) {
         for (number, point) in self.points.iter().enumerate() {
             let base = point.q.as_uvec3().min(shape.nodes - 2);
             let (first, last) = (base >> 3u32, (base + 1) >> 3u32);
