@@ -7,7 +7,7 @@ use super::preset::TrainPreset;
 use super::ray::{Rates, TrainRay};
 use super::refine::refine;
 use super::sampler::{RayMix, Sampler};
-use crate::backend::cpu::{CpuTrainer, Simd};
+use crate::backend::cpu::CpuTrainer;
 use crate::field::Field;
 use crate::quality::psnr_db;
 use crate::view::TrainView;
@@ -36,7 +36,7 @@ pub(super) fn fit(
     allowed: &(dyn Fn(glam::Vec3, usize) -> bool + Sync),
     control: &dyn TrainControl,
 ) -> Result<(Field, Run)> {
-    let mut trainer = CpuTrainer::new(field, Simd::detect());
+    let mut trainer = CpuTrainer::fastest(field);
     let mut run = Run::default();
     let mut rays: Vec<TrainRay> = Vec::new();
     let mut losses = preset.losses;

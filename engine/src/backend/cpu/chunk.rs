@@ -2,8 +2,10 @@
 
 use glam::Vec3;
 
+use super::bf16::Bf16Batch;
+use super::colorist::Colorist;
 use super::lanes::Lanes;
-use super::mlp::{MlpBatch, TransposedWeights};
+use super::mlp::MlpBatch;
 use super::simd::{Simd, dispatch};
 use super::view_corrections::{Corrections, ViewGradient};
 use crate::field::march::march_generic;
@@ -48,6 +50,7 @@ pub(super) struct Chunk {
     pub(super) weight_gradient: Vec<f32>,
     pub(super) tau_gradient: Vec<f32>,
     pub(super) batch: MlpBatch,
+    pub(super) bf16: Bf16Batch,
     pub(super) points: Vec<PointGradient>,
     /// End of every ray's points.
     pub(super) point_ends: Vec<u32>,
@@ -64,7 +67,7 @@ pub(super) struct Chunk {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Setting<'a> {
     pub(super) field: &'a Field,
-    pub(super) transposed: &'a TransposedWeights,
+    pub(super) colorist: &'a Colorist,
     pub(super) losses: &'a RayLosses,
     pub(super) corrections: Option<Corrections<'a>>,
     pub(super) simd: Simd,
@@ -91,9 +94,9 @@ impl Chunk {
         self.composite(setting, rays);
         let (positions, rows) = (&self.positions, &mut self.batch.features);
         gather_features(setting.simd, setting.field, positions, rows);
-        self.batch.forward(&setting.field.mlp, setting.simd);
+        setting.colorist.forward(&mut self.batch, &mut self.bf16);
         self.differentiate(setting, rays);
-        self.batch.backward(setting.transposed, setting.simd);
+        setting.colorist.backward(&mut self.batch, &mut self.bf16);
         find_bricks(setting.simd, self, setting.field);
     }
 

@@ -4,7 +4,8 @@ use glam::{DQuat, DVec3, Vec3};
 
 use super::Simd;
 use super::chunk::{Chunk, NO_SLOT, Setting};
-use super::mlp::{PADDED_FEATURES, TransposedWeights};
+use super::colorist::Colorist;
+use super::mlp::PADDED_FEATURES;
 use super::view_corrections::{Corrections, ViewCorrection};
 use crate::field::lattice::{BRICK_NODES, Lattice, NULL_BRICK};
 use crate::field::mlp::{MLP_INPUTS, MLP_OUTPUTS};
@@ -72,11 +73,11 @@ fn sky_texels(field: &Field) -> usize {
 impl Scene {
     /// The f32 path's gradients.
     pub(super) fn run(&self, simd: Simd) -> Chunk {
-        let transposed = TransposedWeights::new(&self.field.mlp);
+        let colorist = Colorist::exact(&self.field.mlp, simd);
         let mut chunk = Chunk::default();
         let setting = Setting {
             field: &self.field,
-            transposed: &transposed,
+            colorist: &colorist,
             losses: &self.losses,
             corrections: (!self.corrections.is_empty()).then_some(Corrections {
                 views: &self.corrections,

@@ -6,6 +6,7 @@
 pub(crate) mod adam;
 pub(crate) mod bf16;
 mod chunk;
+pub(crate) mod colorist;
 pub(crate) mod lanes;
 mod march;
 mod matmul;

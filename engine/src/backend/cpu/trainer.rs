@@ -4,7 +4,7 @@ use rayon::prelude::*;
 
 use super::adam::{Adam, SkyOptimizer};
 use super::chunk::{Chunk, Setting};
-use super::mlp::TransposedWeights;
+use super::colorist::Colorist;
 use super::scatter::LevelOptimizer;
 use super::simd::Simd;
 use super::variation::Smoother;
@@ -19,7 +19,7 @@ const RAYS_PER_CHUNK: usize = 64;
 #[derive(Debug)]
 pub struct CpuTrainer {
     field: Field,
-    transposed: TransposedWeights,
+    colorist: Colorist,
     levels: Vec<LevelOptimizer>,
     mlp: Adam,
     sky: SkyOptimizer,
@@ -32,9 +32,21 @@ pub struct CpuTrainer {
 }
 
 impl CpuTrainer {
+    /// A trainer in f32 on a path of instructions.
     pub fn new(field: Field, simd: Simd) -> Self {
+        let colorist = Colorist::exact(&field.mlp, simd);
+        Self::with(field, colorist, simd)
+    }
+
+    /// The fastest trainer on this machine: its colour network is rounded to bfloat16 where that is an instruction.
+    pub fn fastest(field: Field) -> Self {
+        let colorist = Colorist::fastest(&field.mlp);
+        Self::with(field, colorist, Simd::detect())
+    }
+
+    fn with(field: Field, colorist: Colorist, simd: Simd) -> Self {
         Self {
-            transposed: TransposedWeights::new(&field.mlp),
+            colorist,
             levels: vec![LevelOptimizer::default(); field.levels.len()],
             mlp: Adam::default(),
             sky: SkyOptimizer::default(),
@@ -80,7 +92,7 @@ impl CpuTrainer {
         self.views.prepare(rays, rates);
         let setting = Setting {
             field: &self.field,
-            transposed: &self.transposed,
+            colorist: &self.colorist,
             losses,
             corrections: self.views.corrections(),
             simd: self.simd,
@@ -127,7 +139,7 @@ impl CpuTrainer {
             &self.mlp_gradients,
             rates.mlp,
         );
-        self.transposed.update(&self.field.mlp);
+        self.colorist.update(&self.field.mlp);
         if let Some(sky) = &mut self.field.sky {
             self.sky.step(sky, &self.chunks, rates.sky);
         }

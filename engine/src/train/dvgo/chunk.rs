@@ -6,15 +6,16 @@ use super::grid::Shape;
 use super::losses::{LossSetting, RayColors, differentiate_ray};
 use super::march::{Medium, Sample};
 use super::pixels::PixelRay;
-use crate::backend::cpu::bf16::{Bf16, Bf16Batch, Bf16Weights};
+use crate::backend::cpu::bf16::Bf16Batch;
+use crate::backend::cpu::colorist::Colorist;
 use crate::backend::cpu::lanes::Lanes;
-use crate::backend::cpu::mlp::{MlpBatch, PADDED_FEATURES, TransposedWeights};
+use crate::backend::cpu::mlp::{MlpBatch, PADDED_FEATURES};
 use crate::backend::cpu::simd::dispatch;
 use crate::backend::cpu::{NO_SLOT, Simd};
 use crate::field::activation::sigmoid;
+use crate::field::encode_view;
 use crate::field::mlp::MLP_OUTPUTS;
 use crate::field::transcendental::exp_m1;
-use crate::field::{ColorMlp, encode_view};
 
 /// Rays of a chunk: the unit of scheduling, and of the network's gradient sums, whose order is thus always the same.
 pub(super) const RAYS_PER_CHUNK: usize = 256;
@@ -51,49 +52,6 @@ pub(super) struct Chunk<const C: usize> {
 pub(super) enum Coloring<'a> {
     Direct,
     Network(&'a Colorist),
-}
-
-/// The colour network in the form that this machine computes fastest.
-#[derive(Clone, Debug)]
-pub(super) enum Colorist {
-    F32(ColorMlp, TransposedWeights, Simd),
-    Bf16(Bf16, Bf16Weights),
-}
-
-impl Colorist {
-    pub(super) fn new(mlp: &ColorMlp) -> Self {
-        match Bf16::detect() {
-            Some(bf16) if Bf16Weights::WIDTHS.contains(&mlp.width()) => {
-                Self::Bf16(bf16, Bf16Weights::new(mlp))
-            }
-            _ => Self::F32(mlp.clone(), TransposedWeights::new(mlp), Simd::detect()),
-        }
-    }
-
-    /// Takes over changed parameters.
-    pub(super) fn update(&mut self, mlp: &ColorMlp) {
-        match self {
-            Self::F32(own, transposed, _) => {
-                own.clone_from(mlp);
-                transposed.update(mlp);
-            }
-            Self::Bf16(_, weights) => weights.update(mlp),
-        }
-    }
-
-    fn forward(&self, batch: &mut MlpBatch, own: &mut Bf16Batch) {
-        match self {
-            Self::F32(mlp, _, simd) => batch.forward(mlp, *simd),
-            Self::Bf16(bf16, weights) => bf16.forward(weights, batch, own),
-        }
-    }
-
-    fn backward(&self, batch: &mut MlpBatch, own: &mut Bf16Batch) {
-        match self {
-            Self::F32(_, transposed, simd) => batch.backward(transposed, *simd),
-            Self::Bf16(bf16, weights) => bf16.backward(weights, batch, own),
-        }
-    }
 }
 
 /// What a chunk reads.

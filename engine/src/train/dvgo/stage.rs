@@ -6,7 +6,7 @@ use glam::{DVec3, UVec3};
 use rayon::prelude::*;
 
 use super::adam::GridAdam;
-use super::chunk::{Chunk, Coloring, Colorist, RAYS_PER_CHUNK, Scratch, Setting};
+use super::chunk::{Chunk, Coloring, RAYS_PER_CHUNK, Scratch, Setting};
 use super::grid::Shape;
 use super::losses::LossSetting;
 use super::march::{Medium, raw_of_alpha};
@@ -16,6 +16,7 @@ use super::recipe::{GridRecipe, StepRecipe};
 use super::resample::resample;
 use crate::backend::cpu::Simd;
 use crate::backend::cpu::adam::Adam;
+use crate::backend::cpu::colorist::Colorist;
 use crate::field::{ColorMlp, DensityActivation};
 
 /// A stage's state. C colour values per node: 3 and a padding of direct colour, or 12 features.
@@ -71,7 +72,7 @@ pub(super) fn resolution((low, high): (DVec3, DVec3), voxels: u64) -> (f64, UVec
 impl Network {
     pub(super) fn new(mlp: ColorMlp) -> Self {
         Self {
-            colorist: Colorist::new(&mlp),
+            colorist: Colorist::fastest(&mlp),
             adam: Adam::default(),
             gradients: Vec::new(),
             mlp,
