@@ -7,6 +7,8 @@ pub(crate) mod adam;
 pub(crate) mod bf16;
 mod chunk;
 pub(crate) mod colorist;
+#[doc(hidden)]
+pub mod kernels;
 pub(crate) mod lanes;
 mod march;
 mod matmul;

@@ -14,6 +14,7 @@ mod chunk;
 mod finish;
 mod framing;
 mod grid;
+mod kernels;
 mod losses;
 mod march;
 mod mask;
@@ -28,5 +29,7 @@ mod tests;
 mod view_count;
 
 pub use framing::frustum_box;
+#[doc(hidden)]
+pub use kernels::GridKernels;
 pub use recipe::{DvgoRecipe, GridRecipe, StepRecipe};
 pub use run::train_dvgo;

@@ -83,8 +83,7 @@ fn worst(computed_with: &LossSetting) -> f64 {
         };
         pairs.push((f64::from(by_tau[i]), (at(h) - at(-h)) / (2.0 * h)));
     }
-    let mut slot = 0;
-    for i in (0..5).filter(|i| SHOWN[*i]) {
+    for (slot, i) in (0..5).filter(|i| SHOWN[*i]).enumerate() {
         for c in 0..3 {
             let at = |d: f64| {
                 let mut colors = COLORS;
@@ -94,7 +93,6 @@ fn worst(computed_with: &LossSetting) -> f64 {
             let exact = (at(h) - at(-h)) / (2.0 * h);
             pairs.push((f64::from(color_gradients[slot * 4 + c]), exact));
         }
-        slot += 1;
     }
     let largest = pairs.iter().map(|p| p.1.abs()).fold(0.0, f64::max);
     let off = pairs.iter().map(|p| (p.0 - p.1).abs());
