@@ -8,20 +8,20 @@ use rayon::prelude::*;
 use crate::field::lattice::{BRICK_NODES, BRICK_SIDE, FEATURES, Lattice, NULL_BRICK};
 use crate::volume::variation_loss;
 
-/// Bricks smoothed from the same state, to bound the gradients' memory to 28 MB; later blocks see earlier ones smoothed.
+/// Bricks smoothed from the same state, to bound the gradients' memory to 27 MB; later blocks see earlier ones smoothed.
 const BLOCK: usize = 1024;
-/// Values of a node: density, then features.
-const VALUES: usize = 1 + FEATURES;
 
 /// Buffers of the smoothing, reused from step to step.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Smoother {
     bricks: Vec<u32>,
-    gradients: Vec<[f32; VALUES]>,
+    density: Vec<f32>,
+    features: Vec<[f32; FEATURES]>,
 }
 
 impl Smoother {
-    /// Moves density and features of the `touched` bricks (in any order, repeated at will) against their variation.
+    /// Moves density and features of the `touched` bricks (in any order, repeated at will) against their variation. A rate of 0
+    /// leaves its values alone and costs nothing.
     pub(super) fn smooth(
         &mut self,
         level: &mut Lattice,
@@ -34,34 +34,90 @@ impl Smoother {
         self.bricks.sort_unstable();
         self.bricks.dedup();
         for block in self.bricks.chunks(BLOCK) {
-            self.gradients
-                .resize(block.len() * BRICK_NODES, [0.0; VALUES]);
-            let frozen = &*level;
-            self.gradients
-                .par_chunks_exact_mut(BRICK_NODES)
-                .zip(block)
-                .for_each(|(out, brick)| {
-                    brick_gradient(frozen, *brick, feature_rate > 0.0, out);
+            if density_rate > 0.0 {
+                let gradients = &mut self.density;
+                fill(level, block, gradients, |node, other| {
+                    variation(level.density()[node], level.density()[other])
                 });
-            let (density, features) = level.parameters_mut();
-            for (brick, gradients) in block.iter().zip(self.gradients.chunks_exact(BRICK_NODES)) {
-                let first = *brick as usize * BRICK_NODES;
-                for (node, gradient) in (first..).zip(gradients) {
-                    density[node] -= density_rate * gradient[0];
-                    let pairs = features[node].iter_mut().zip(&gradient[1..]);
-                    pairs.for_each(|(value, g)| *value -= feature_rate * g);
-                }
+                let values = level.parameters_mut().0;
+                move_against(values, block, gradients, |v, g| *v -= density_rate * g);
+            }
+            if feature_rate > 0.0 {
+                let gradients = &mut self.features;
+                fill(level, block, gradients, |node, other| {
+                    let (a, b) = (&level.features()[node], &level.features()[other]);
+                    std::array::from_fn(|f| variation(a[f], b[f]))
+                });
+                let values = level.parameters_mut().1;
+                move_against(values, block, gradients, |v, g| {
+                    (0..FEATURES).for_each(|f| v[f] -= feature_rate * g[f]);
+                });
             }
         }
     }
 }
 
-/// Gradients of the level's variation by one brick's values.
-fn brick_gradient(level: &Lattice, brick: u32, with_features: bool, out: &mut [[f32; VALUES]]) {
+fn variation(a: f32, b: f32) -> f32 {
+    variation_loss(a - b).gradient / 6.0
+}
+
+/// What can be summed over neighbours.
+trait Sum: Copy + Default + Send + Sync {
+    fn add(&mut self, other: Self);
+}
+
+impl Sum for f32 {
+    fn add(&mut self, other: Self) {
+        *self += other;
+    }
+}
+
+impl Sum for [f32; FEATURES] {
+    fn add(&mut self, other: Self) {
+        (0..FEATURES).for_each(|f| self[f] += other[f]);
+    }
+}
+
+/// Fills `out` with the gradients of every node of `bricks`: the sum of `pair(node, neighbour)` over the neighbours.
+fn fill<T: Sum>(
+    level: &Lattice,
+    bricks: &[u32],
+    out: &mut Vec<T>,
+    pair: impl Fn(usize, usize) -> T + Sync,
+) {
+    out.resize(bricks.len() * BRICK_NODES, T::default());
+    out.par_chunks_exact_mut(BRICK_NODES)
+        .zip(bricks)
+        .for_each(|(out, brick)| brick_gradient(level, *brick, out, &pair));
+}
+
+fn move_against<T, V>(
+    values: &mut [V],
+    bricks: &[u32],
+    gradients: &[T],
+    apply: impl Fn(&mut V, &T),
+) {
+    for (brick, gradients) in bricks.iter().zip(gradients.chunks_exact(BRICK_NODES)) {
+        let first = *brick as usize * BRICK_NODES;
+        let values = &mut values[first..first + BRICK_NODES];
+        values
+            .iter_mut()
+            .zip(gradients)
+            .for_each(|(v, g)| apply(v, g));
+    }
+}
+
+/// Sums of `pair` over the stored neighbours of one brick's nodes.
+fn brick_gradient<T: Sum>(
+    level: &Lattice,
+    brick: u32,
+    out: &mut [T],
+    pair: &impl Fn(usize, usize) -> T,
+) {
     let neighbours = neighbour_bricks(level, brick);
     let strides = [1, BRICK_SIDE, BRICK_SIDE * BRICK_SIDE];
     for (local, gradient) in out.iter_mut().enumerate() {
-        *gradient = [0.0; VALUES];
+        *gradient = T::default();
         let node = brick as usize * BRICK_NODES + local;
         for (side, neighbour) in neighbours.iter().enumerate() {
             let stride = strides[side / 2];
@@ -74,14 +130,8 @@ fn brick_gradient(level: &Lattice, brick: u32, with_features: bool, out: &mut [[
                 (true, _) => Some(node + stride),
             };
             // Where nothing is stored there is no neighbour.
-            let Some(other) = other else { continue };
-            let sixth = |a: f32, b: f32| variation_loss(a - b).gradient / 6.0;
-            gradient[0] += sixth(level.density()[node], level.density()[other]);
-            if with_features {
-                let pairs = level.features()[node].iter().zip(&level.features()[other]);
-                for (g, (a, b)) in gradient[1..].iter_mut().zip(pairs) {
-                    *g += sixth(*a, *b);
-                }
+            if let Some(other) = other {
+                gradient.add(pair(node, other));
             }
         }
     }
@@ -154,13 +204,18 @@ mod tests {
     fn the_gradient_is_that_of_the_pairs_variation_and_one_without_neighbour_bricks_is_not() {
         let level = level();
         let density: Vec<f64> = level.density().iter().map(|d| f64::from(*d)).collect();
-        let mut out = vec![[0.0; VALUES]; BRICK_NODES];
-        brick_gradient(&level, 1, false, &mut out);
+        let gradient = |level: &Lattice| {
+            let mut out = vec![0.0f32; BRICK_NODES];
+            let density = level.density();
+            let pair = |a: usize, b: usize| super::variation(density[a], density[b]);
+            brick_gradient(level, 1, &mut out, &pair);
+            out
+        };
+        let out = gradient(&level);
         // Broken: the same brick with nothing beside it.
         let mut alone = level.clone();
         alone.retain(|brick| brick == 1);
-        let mut broken = vec![[0.0; VALUES]; BRICK_NODES];
-        brick_gradient(&alone, 1, false, &mut broken);
+        let broken = gradient(&alone);
         let (mut worst, mut worst_broken) = (0.0f64, 0.0f64);
         for local in (0..BRICK_NODES).step_by(7) {
             let change = |h: f64| {
@@ -169,8 +224,8 @@ mod tests {
                 variation(&level, &moved)
             };
             let numeric = (change(1e-5) - change(-1e-5)) / 2e-5;
-            worst = worst.max((f64::from(out[local][0]) - numeric).abs());
-            worst_broken = worst_broken.max((f64::from(broken[local][0]) - numeric).abs());
+            worst = worst.max((f64::from(out[local]) - numeric).abs());
+            worst_broken = worst_broken.max((f64::from(broken[local]) - numeric).abs());
         }
         // Gradients are up to 1.
         assert!(worst < 1e-4, "{worst}");
