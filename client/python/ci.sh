@@ -34,7 +34,7 @@ start_server() {
 }
 
 train() {
-  "$programs/backlot" logs upload --format generated --name street --seed 7 --frames 12 --width 160 --height 96 --travel-m 18
+  "$programs/backlot" logs upload --format generated --name street --seed 7 --frames 20 --width 320 --height 192 --travel-m 24
   "$programs/backlot" jobs submit background --log street --budget quick --watch
   "$programs/backlot" jobs submit objects --log street --budget quick --watch
 }
