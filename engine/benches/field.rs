@@ -90,16 +90,9 @@ fn preset(steps: u64) -> TrainPreset {
 /// Rays of the fifth view, as (origin, direction).
 fn rays() -> Vec<(Vec3, Vec3)> {
     let view = view(5);
-    let origin = view.local_from_camera.translation_m.as_vec3();
-    (0..view.camera.width * view.camera.height)
-        .map(|pixel| {
-            let at = DVec2::new(
-                f64::from(pixel % view.camera.width) + 0.5,
-                f64::from(pixel / view.camera.width) + 0.5,
-            );
-            let direction = view.local_from_camera.direction(view.camera.direction(at));
-            (origin, direction.as_vec3())
-        })
+    (0..view.camera.pixel_count())
+        .map(|at| view.pixel_ray(at))
+        .map(|ray| (ray.origin, ray.direction))
         .collect()
 }
 

@@ -1,6 +1,9 @@
 //! Training views: what a field is fitted to.
 
+use glam::DVec2;
+
 use crate::camera::{Camera, Rigid};
+use crate::field::Ray;
 
 /// What a pixel is to the field being trained.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -48,4 +51,23 @@ pub struct TrainView {
     pub labels: Vec<PixelLabel>,
     pub depth: Vec<DepthReturn>,
     pub split: Split,
+}
+
+impl TrainView {
+    /// The ray through a continuous pixel position, in the local frame.
+    pub fn ray(&self, pixel: DVec2) -> Ray {
+        let direction = self
+            .local_from_camera
+            .direction(self.camera.direction(pixel));
+        Ray {
+            origin: self.local_from_camera.translation_m.as_vec3(),
+            direction: direction.as_vec3(),
+        }
+    }
+
+    /// The ray through the centre of pixel number `at`, row by row.
+    pub fn pixel_ray(&self, at: usize) -> Ray {
+        let (x, y) = (at as u32 % self.camera.width, at as u32 / self.camera.width);
+        self.ray(DVec2::new(f64::from(x) + 0.5, f64::from(y) + 0.5))
+    }
 }

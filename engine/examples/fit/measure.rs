@@ -8,7 +8,6 @@ use backlot_engine::Field;
 use backlot_engine::field::Ray;
 use backlot_engine::quality::{psnr_db, render_rays, ssim};
 use backlot_engine::view::TrainView;
-use glam::DVec2;
 use serde::Serialize;
 
 /// What `--json` writes.
@@ -70,20 +69,8 @@ pub(crate) fn test_figures(field: &Field, views: &[TrainView], behind: [f32; 3])
 }
 
 fn render(field: &Field, view: &TrainView, behind: [f32; 3]) -> Vec<u8> {
-    let (width, height) = (view.camera.width, view.camera.height);
-    let pixels = (0..height).flat_map(|y| (0..width).map(move |x| (x, y)));
-    let rays: Vec<Ray> = pixels
-        .map(|(x, y)| {
-            let pixel = DVec2::new(f64::from(x) + 0.5, f64::from(y) + 0.5);
-            let direction = view
-                .local_from_camera
-                .direction(view.camera.direction(pixel));
-            Ray {
-                origin: view.local_from_camera.translation_m.as_vec3(),
-                direction: direction.as_vec3(),
-            }
-        })
-        .collect();
+    let pixels = 0..view.camera.pixel_count();
+    let rays: Vec<Ray> = pixels.map(|at| view.pixel_ray(at)).collect();
     let rendered = render_rays(field, &rays);
     let bytes = rendered.iter().flat_map(|ray| {
         let left = 1.0 - ray.accumulation;

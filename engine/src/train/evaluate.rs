@@ -3,7 +3,6 @@
 use glam::DVec2;
 
 use super::fit::Run;
-use super::sampler::view_ray;
 use crate::field::{Field, Ray};
 use crate::quality::{QualityReport, RenderedRay, psnr_db, render_rays, ssim};
 use crate::view::{PixelLabel, Split, TrainView};
@@ -78,7 +77,7 @@ impl Sums {
         // An object's rays outside its box show nothing and are not rendered.
         let through: Vec<(usize, Ray)> = (0..width * height)
             .filter(|at| view.labels[*at] != PixelLabel::Unknown)
-            .map(|at| (at, pixel_ray(view, at)))
+            .map(|at| (at, view.pixel_ray(at)))
             .filter(|(_, ray)| field.sky.is_some() || ray.cross_box(low, high).is_some())
             .collect();
         let rays: Vec<Ray> = through.iter().map(|(_, ray)| *ray).collect();
@@ -138,18 +137,13 @@ impl Sums {
     }
 }
 
-fn pixel_ray(view: &TrainView, at: usize) -> Ray {
-    let (x, y) = (at as u32 % view.camera.width, at as u32 / view.camera.width);
-    view_ray(view, DVec2::new(f64::from(x) + 0.5, f64::from(y) + 0.5))
-}
-
 fn range_errors_m(field: &Field, view: &TrainView) -> Vec<f64> {
     let near: Vec<_> = view
         .depth
         .iter()
         .filter(|d| d.range_m <= DEPTH_RANGE_M)
         .collect();
-    let ray = |pixel: [f32; 2]| view_ray(view, DVec2::from(pixel.map(f64::from)));
+    let ray = |pixel: [f32; 2]| view.ray(DVec2::from(pixel.map(f64::from)));
     let rays: Vec<Ray> = near.iter().map(|depth| ray(depth.pixel)).collect();
     let rendered = render_rays(field, &rays);
     let errors = rendered.iter().zip(&near);

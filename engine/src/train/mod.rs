@@ -18,6 +18,8 @@ mod paper;
 mod preset;
 pub mod ray;
 mod refine;
+#[cfg(test)]
+mod refusal_tests;
 mod sampler;
 mod seed;
 mod survey;

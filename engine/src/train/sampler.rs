@@ -4,7 +4,6 @@ use glam::{DVec2, DVec3};
 use rayon::prelude::*;
 
 use super::ray::{Backdrop, Silhouette, TrainRay};
-use crate::field::Ray;
 use crate::scene::Draws;
 use crate::view::{PixelLabel, Split, TrainView};
 
@@ -236,14 +235,8 @@ impl<'a> Sampler<'a> {
 }
 
 fn bare_ray(number: u32, view: &TrainView, pixel: DVec2, draws: &mut Draws) -> TrainRay {
-    let direction = view
-        .local_from_camera
-        .direction(view.camera.direction(pixel));
     TrainRay {
-        ray: Ray {
-            origin: view.local_from_camera.translation_m.as_vec3(),
-            direction: direction.as_vec3(),
-        },
+        ray: view.ray(pixel),
         phase: draws.unit() as f32,
         t_max: f32::INFINITY,
         color: [0.0; 3],
@@ -298,15 +291,4 @@ fn cuboid_window(view: &TrainView, half_m: DVec3) -> Option<PixelWindow> {
         width: span.x,
         height: span.y,
     })
-}
-
-/// Unit direction and origin of a view's ray, in the local frame.
-pub(crate) fn view_ray(view: &TrainView, pixel: DVec2) -> Ray {
-    let direction: DVec3 = view
-        .local_from_camera
-        .direction(view.camera.direction(pixel));
-    Ray {
-        origin: view.local_from_camera.translation_m.as_vec3(),
-        direction: direction.as_vec3(),
-    }
 }

@@ -1,4 +1,4 @@
-//! Training on scenes small enough to trace by hand, and refusing what cannot be trained on.
+//! Training on scenes small enough to trace by hand.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -14,7 +14,7 @@ use crate::view::{DepthReturn, PixelLabel, Split, TrainView};
 use crate::{Asset, Error};
 
 /// Ground z = 0 with a checkerboard, and a striped box of these half extents around this centre; sky above.
-const BOX_HALF: DVec3 = DVec3::new(1.0, 0.6, 0.5);
+pub(super) const BOX_HALF: DVec3 = DVec3::new(1.0, 0.6, 0.5);
 const BOX_CENTRE: DVec3 = DVec3::new(6.0, 0.0, 0.5);
 
 /// Nearest hit along a unit direction: range and colour.
@@ -51,7 +51,7 @@ fn trace(origin: DVec3, direction: DVec3, ground: bool, centre: DVec3) -> Option
 }
 
 /// Camera axes (x right, y down, z forward) looking from `eye` at `target`.
-fn look_at(eye: DVec3, target: DVec3) -> Rigid {
+pub(super) fn look_at(eye: DVec3, target: DVec3) -> Rigid {
     let forward = (target - eye).normalize();
     let right = forward.cross(DVec3::Z).normalize();
     let rotation = DMat3::from_cols(right, forward.cross(right), forward);
@@ -122,7 +122,7 @@ fn points(views: &[TrainView]) -> Vec<[f32; 3]> {
         .collect()
 }
 
-fn drive() -> BackgroundInput {
+pub(super) fn drive() -> BackgroundInput {
     let eyes: Vec<DVec3> = (0..10)
         .map(|i| DVec3::new(0.3 * f64::from(i), 0.2, 1.5))
         .collect();
@@ -139,7 +139,7 @@ fn drive() -> BackgroundInput {
 }
 
 /// Views from one side only, unless `around`.
-fn orbit(around: bool, symmetric: bool) -> ObjectInput {
+pub(super) fn orbit(around: bool, symmetric: bool) -> ObjectInput {
     let views: Vec<TrainView> = (0..15)
         .map(|i| {
             // Held-out views (2, 7, 12 of 15) are on the other side where only one is trained on.
@@ -162,7 +162,7 @@ fn orbit(around: bool, symmetric: bool) -> ObjectInput {
     }
 }
 
-fn quick(mut preset: TrainPreset, steps: u64) -> TrainPreset {
+pub(super) fn quick(mut preset: TrainPreset, steps: u64) -> TrainPreset {
     preset.seconds = 0.0;
     preset.steps = steps;
     preset.most_passes = f64::INFINITY;
@@ -318,197 +318,6 @@ fn divergence_names_step_and_quantity() {
     preset.rates.mlp = f32::INFINITY;
     let result = train_object(&orbit(true, false), &preset, 1, &NoControl);
     assert!(matches!(result, Err(Error::Diverged { .. })), "{result:?}");
-}
-
-fn refusal_of(break_it: impl FnOnce(&mut BackgroundInput)) -> String {
-    let mut input = drive();
-    break_it(&mut input);
-    let preset = quick(TrainPreset::background(Budget::Quick), 1);
-    match train_background(&input, &preset, 1, &NoControl) {
-        Err(error @ Error::Invalid { .. }) => error.to_string(),
-        other => panic!("not refused: {:?}", other.map(|t| t.quality)),
-    }
-}
-
-#[test]
-fn bad_input_is_refused_by_frame_and_field_before_any_step() {
-    type Case = (&'static str, &'static str, fn(&mut BackgroundInput));
-    let cases: [Case; 14] = [
-        ("frame 3", "local_from_camera", |i| {
-            i.views[3].local_from_camera.translation_m.x = f64::NAN
-        }),
-        ("frame 4", "focal", |i| i.views[4].camera.focal_px.x = 0.0),
-        ("frame 0", "image size", |i| i.views[0].camera.width = 0),
-        ("frame 4", "focal", |i| {
-            i.views[4].camera.focal_px.y = f64::INFINITY
-        }),
-        ("frame 4", "singular", |i| {
-            i.views[4].camera.focal_px.x = 1e-300
-        }),
-        ("frame 7", "distortion", |i| {
-            i.views[7].camera.distortion = Distortion::BrownConrady {
-                k: [0.0, f64::NAN, 0.0, 0.0, 0.0],
-            };
-        }),
-        ("frame 3", "local_from_camera", |i| {
-            i.views[3].local_from_camera.rotation = DQuat::from_xyzw(0.0, 0.0, 0.0, 0.0);
-        }),
-        ("frame 3", "from the local origin", |i| {
-            i.views[3].local_from_camera.translation_m.y = 4e6
-        }),
-        ("no ray is left", "foreground", |i| {
-            i.views
-                .iter_mut()
-                .for_each(|v| v.labels.fill(PixelLabel::Sky));
-        }),
-        ("frame 5", "labels", |i| i.views[5].labels.truncate(7)),
-        ("frame 6", "rgb", |i| i.views[6].rgb.clear()),
-        ("frame 1", "depth 0", |i| i.views[1].depth[0].range_m = -1.0),
-        ("lidar_points[2]", "not finite", |i| {
-            i.lidar_points[2][1] = f32::INFINITY
-        }),
-        ("no ray is left", "unknown", |i| {
-            i.views
-                .iter_mut()
-                .for_each(|v| v.labels.fill(PixelLabel::Unknown));
-        }),
-    ];
-    for (place, field, break_it) in cases {
-        let message = refusal_of(break_it);
-        assert!(
-            message.contains(place) && message.contains(field),
-            "{message}"
-        );
-    }
-    assert!(refusal_of(|i| i.views.clear()).contains("no training view"));
-    assert!(refusal_of(|i| i.ego_path.clear()).contains("ego_path"));
-}
-
-#[test]
-fn a_box_that_no_camera_sees_is_refused() {
-    let mut input = orbit(true, false);
-    for view in &mut input.views {
-        let eye = view.local_from_camera.translation_m;
-        view.local_from_camera = look_at(eye, eye * 10.0);
-    }
-    let preset = quick(TrainPreset::object(Budget::Quick), 1);
-    let error = train_object(&input, &preset, 1, &NoControl).unwrap_err();
-    assert!(error.to_string().contains("no training camera"), "{error}");
-}
-
-#[test]
-fn a_field_over_the_memory_bound_is_refused_with_both_figures() {
-    let mut preset = quick(TrainPreset::object(Budget::Quick), 1);
-    preset.memory_bytes = 10_000;
-    let error = train_object(&orbit(true, false), &preset, 1, &NoControl).unwrap_err();
-    assert!(
-        matches!(
-            error,
-            Error::OutOfMemory {
-                available_bytes: 10_000,
-                ..
-            }
-        ),
-        "{error}"
-    );
-}
-
-#[test]
-fn a_preset_that_builds_no_field_is_refused_by_its_entry() {
-    type Case = (&'static str, fn(&mut TrainPreset));
-    let cases: [Case; 5] = [
-        ("voxels_m", |p| p.voxels_m = vec![0.1, f32::NAN]),
-        ("level_reach_m", |p| {
-            p.level_reach_m.pop();
-        }),
-        ("mlp_width", |p| p.mlp_width = 33),
-        ("pixel_rays", |p| p.mix.pixel_rays = 0),
-        ("alpha_init", |p| p.alpha_init = 1.0),
-    ];
-    for (entry, break_it) in cases {
-        let mut preset = quick(TrainPreset::object(Budget::Quick), 1);
-        break_it(&mut preset);
-        let error = train_object(&orbit(true, false), &preset, 1, &NoControl).unwrap_err();
-        assert!(matches!(error, Error::Invalid { .. }), "{error}");
-        assert!(error.to_string().contains(entry), "{error}");
-    }
-}
-
-fn bounded() -> BoundedInput {
-    BoundedInput {
-        views: orbit(true, false).views,
-        low_m: -BOX_HALF * 1.2,
-        high_m: BOX_HALF * 1.2,
-        backdrop: [0.5, 0.7, 0.9],
-    }
-}
-
-#[test]
-fn bad_bounded_input_is_refused_by_frame_and_field() {
-    type Case = (&'static str, &'static str, fn(&mut BoundedInput));
-    let cases: [Case; 9] = [
-        ("scene", "the box from", |i| i.low_m.x = f64::NAN),
-        ("scene", "the box from", |i| i.high_m.z = i.low_m.z),
-        ("scene", "no training camera sees", |i| {
-            i.low_m.z += 500.0;
-            i.high_m.z += 500.0;
-        }),
-        ("scene", "backdrop", |i| i.backdrop[1] = f32::NAN),
-        ("scene", "no training view", |i| i.views.clear()),
-        ("frame 3", "local_from_camera", |i| {
-            i.views[3].local_from_camera.translation_m.z = f64::INFINITY
-        }),
-        ("frame 0", "image size", |i| i.views[0].camera.height = 0),
-        ("frame 6", "labels", |i| i.views[6].labels.truncate(5)),
-        ("no ray is left", "unknown", |i| {
-            i.views
-                .iter_mut()
-                .for_each(|v| v.labels.fill(PixelLabel::Unknown));
-        }),
-    ];
-    for (place, field, break_it) in cases {
-        let mut input = bounded();
-        break_it(&mut input);
-        let error = train_bounded(&input, &TrainPreset::fast(3.0, 0.05), 1, &NoControl)
-            .map(|t| t.quality)
-            .unwrap_err();
-        assert!(matches!(error, Error::Invalid { .. }), "{error}");
-        let message = error.to_string();
-        assert!(
-            message.contains(place) && message.contains(field),
-            "{message}"
-        );
-    }
-    let mut preset = TrainPreset::fast(3.0, 0.05);
-    preset.memory_bytes = 1_000;
-    let error = train_bounded(&bounded(), &preset, 1, &NoControl).unwrap_err();
-    assert!(matches!(error, Error::OutOfMemory { .. }), "{error}");
-}
-
-#[test]
-fn bad_objects_are_refused_by_field() {
-    type Case = (&'static str, fn(&mut ObjectInput));
-    let cases: [Case; 5] = [
-        ("size_m", |i| i.size_m.y = f64::NAN),
-        ("size_m", |i| i.size_m.z = 0.0),
-        ("lidar_points[1]", |i| i.lidar_points[1][2] = f32::NAN),
-        ("foreground", |i| {
-            let views = i.views.iter_mut();
-            views.for_each(|v| v.labels.fill(PixelLabel::Background));
-        }),
-        ("no training view", |i| {
-            let views = i.views.iter_mut();
-            views.for_each(|v| v.split = Split::HeldOut);
-        }),
-    ];
-    for (field, break_it) in cases {
-        let mut input = orbit(true, false);
-        break_it(&mut input);
-        let preset = quick(TrainPreset::object(Budget::Quick), 1);
-        let error = train_object(&input, &preset, 1, &NoControl).unwrap_err();
-        assert!(matches!(error, Error::Invalid { .. }), "{error}");
-        assert!(error.to_string().contains(field), "{error}");
-    }
 }
 
 #[test]

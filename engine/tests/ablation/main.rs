@@ -13,7 +13,6 @@ use backlot_engine::train::{
     Budget, NoControl, ObjectInput, TrainPreset, train_background, train_object,
 };
 use backlot_engine::view::{PixelLabel, TrainView};
-use glam::DVec2;
 
 /// Fixed, so that a failure is no chance.
 const SEED: u64 = 7;
@@ -33,7 +32,9 @@ fn figures(field: &Field, views: &[TrainView]) -> Figures {
     let (mut error, mut inside, mut around) = (Vec::new(), Vec::new(), Vec::new());
     let (low, high) = field.bounds();
     for view in views {
-        let rays: Vec<Ray> = (0..view.labels.len()).map(|at| ray(view, at)).collect();
+        let rays: Vec<Ray> = (0..view.labels.len())
+            .map(|at| view.pixel_ray(at))
+            .collect();
         for ((at, ray), shown) in rays.iter().enumerate().zip(render_rays(field, &rays)) {
             let accumulation = f64::from(shown.accumulation);
             match view.labels[at] {
@@ -55,18 +56,6 @@ fn figures(field: &Field, views: &[TrainView]) -> Figures {
         psnr: psnr_db(mean(&error)),
         halo: mean(&around),
         opacity: mean(&inside),
-    }
-}
-
-fn ray(view: &TrainView, at: usize) -> Ray {
-    let width = view.camera.width as usize;
-    let pixel = DVec2::new((at % width) as f64 + 0.5, (at / width) as f64 + 0.5);
-    let direction = view
-        .local_from_camera
-        .direction(view.camera.direction(pixel));
-    Ray {
-        origin: view.local_from_camera.translation_m.as_vec3(),
-        direction: direction.as_vec3(),
     }
 }
 
