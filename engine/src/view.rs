@@ -67,7 +67,6 @@ impl TrainView {
 
     /// The ray through the centre of pixel number `at`, row by row.
     pub fn pixel_ray(&self, at: usize) -> Ray {
-        let (x, y) = (at as u32 % self.camera.width, at as u32 / self.camera.width);
-        self.ray(DVec2::new(f64::from(x) + 0.5, f64::from(y) + 0.5))
+        self.ray(self.camera.pixel_centre(at))
     }
 }

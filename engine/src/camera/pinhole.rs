@@ -85,6 +85,12 @@ impl Camera {
         }
     }
 
+    /// Centre of pixel number `at`, row by row.
+    pub fn pixel_centre(&self, at: usize) -> DVec2 {
+        let (x, y) = (at as u32 % self.width, at as u32 / self.width);
+        DVec2::new(f64::from(x) + 0.5, f64::from(y) + 0.5)
+    }
+
     pub fn pixel_count(&self) -> usize {
         self.width as usize * self.height as usize
     }

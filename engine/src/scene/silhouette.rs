@@ -78,9 +78,8 @@ pub(super) fn silhouette(
 fn visible(camera: &Camera, camera_from_mover: &Rigid, field: &Field, begins: &[f32]) -> Vec<bool> {
     let mover_from_camera = camera_from_mover.inverse();
     let origin = mover_from_camera.translation_m.as_vec3();
-    let width = camera.width as usize;
     let sees = |samples: &mut Vec<RaySample>, i: usize| {
-        let pixel = glam::DVec2::new((i % width) as f64 + 0.5, (i / width) as f64 + 0.5);
+        let pixel = camera.pixel_centre(i);
         let direction = mover_from_camera
             .direction(camera.direction(pixel))
             .as_vec3();

@@ -52,7 +52,7 @@ const SOLID: f32 = 0.95;
 /// A replacement is matched to the recorded pixels of the mover whose slot it takes, an insert to those of all original vehicles in the
 /// frame.
 /// The gain is that of luminance, the same for every channel, so that paint keeps its hue; the offset brings the object's dark
-/// parts to the colour of the recorded ones, which is the tint of the shade (T21 of the field notes: at least an affine match).
+/// parts to the colour of the recorded ones, which is the tint of the shade.
 ///
 /// # Errors
 /// What [`render`] fails with.

@@ -9,9 +9,7 @@ use super::input::{BoundedInput, Trained};
 use super::preset::TrainPreset;
 use super::sampler::Sampler;
 use super::survey::survey;
-use super::validate::{
-    require_foreground, require_memory, require_seen, validate_preset, validate_views,
-};
+use super::validate::{require_memory, validate_bounded, validate_preset};
 use crate::camera::Camera;
 use crate::field::Field;
 use crate::view::{Split, TrainView};
@@ -94,24 +92,7 @@ pub fn train_bounded(
     control: &dyn TrainControl,
 ) -> Result<Trained> {
     validate_preset("scene", preset)?;
-    validate_views("scene", &input.views)?;
-    require_foreground("scene", &input.views)?;
-    let sound = input.low_m.is_finite()
-        && input.high_m.is_finite()
-        && input.low_m.cmplt(input.high_m).all();
-    if !sound {
-        return Err(Error::invalid(format!(
-            "scene: the box from {} to {} is empty or not finite",
-            input.low_m, input.high_m
-        )));
-    }
-    require_seen("scene", &input.views, input.low_m, input.high_m)?;
-    if !input.backdrop.iter().all(|c| (0.0..=1.0).contains(c)) {
-        return Err(Error::invalid(format!(
-            "scene: backdrop {:?} must lie in 0..1",
-            input.backdrop
-        )));
-    }
+    validate_bounded(input)?;
     control.progress(Progress {
         stage: Stage::Prepare,
         step: 0,

@@ -4,7 +4,7 @@ use super::control::{Progress, Stage, TrainControl};
 use super::evaluate::evaluate;
 use super::input::Trained;
 use super::preset::TrainPreset;
-use super::ray::{Rates, TrainRay};
+use super::ray::{Rates, StepSums, TrainRay};
 use super::refine::refine;
 use super::sampler::{RayMix, Sampler};
 use crate::backend::cpu::CpuTrainer;
@@ -76,12 +76,7 @@ pub(super) fn fit(
         sampler.draw(step, &mix, &mut rays);
         let passes = run.rays as f64 / sampler.pixel_count() as f64;
         let sums = trainer.step(&rays, &losses, rates_at(preset, done, passes));
-        if !sums.loss.is_finite() {
-            let quantity = if sums.squared_error.is_finite() {
-                "loss"
-            } else {
-                "colour"
-            };
+        if let Some(quantity) = diverged(sums) {
             return Err(Error::Diverged { step, quantity });
         }
         if sums.color_rays > 0 {
@@ -112,6 +107,15 @@ pub(super) fn fit(
         });
     }
     Ok((field, run))
+}
+
+/// What of a step's sums is not finite, if anything.
+fn diverged(sums: &StepSums) -> Option<&'static str> {
+    match (sums.loss.is_finite(), sums.squared_error.is_finite()) {
+        (true, _) => None,
+        (false, true) => Some("loss"),
+        (false, false) => Some("colour"),
+    }
 }
 
 /// The parameters of a field that are not all finite, if any: a loss may stay finite beside a voxel that no ray weighs.

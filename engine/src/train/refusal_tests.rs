@@ -157,15 +157,17 @@ fn bad_bounded_input_is_refused_by_frame_and_field() {
     for (place, field, break_it) in cases {
         let mut input = bounded();
         break_it(&mut input);
-        let error = train_bounded(&input, &TrainPreset::fast(3.0, 0.05), 1, &NoControl)
-            .map(|t| t.quality)
-            .unwrap_err();
-        assert!(matches!(error, Error::Invalid { .. }), "{error}");
-        let message = error.to_string();
-        assert!(
-            message.contains(place) && message.contains(field),
-            "{message}"
-        );
+        let fast = train_bounded(&input, &TrainPreset::fast(3.0, 0.05), 1, &NoControl);
+        let recipe = train_dvgo(&input, &DvgoRecipe::scaled(1), 1, &NoControl);
+        for trained in [fast, recipe] {
+            let error = trained.map(|t| t.quality).unwrap_err();
+            assert!(matches!(error, Error::Invalid { .. }), "{error}");
+            let message = error.to_string();
+            assert!(
+                message.contains(place) && message.contains(field),
+                "{message}"
+            );
+        }
     }
     let mut preset = TrainPreset::fast(3.0, 0.05);
     preset.memory_bytes = 1_000;

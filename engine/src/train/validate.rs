@@ -2,6 +2,7 @@
 
 use glam::{DVec2, DVec3, Vec3};
 
+use super::input::BoundedInput;
 use super::preset::TrainPreset;
 use super::refine::BRICK_BYTES;
 use crate::camera::Camera;
@@ -93,6 +94,26 @@ fn validate_depth(frame: &str, view: &TrainView) -> Result<()> {
                 depth.range_m
             )));
         }
+    }
+    Ok(())
+}
+
+/// Checks a bounded scene: views, box and backdrop.
+pub(super) fn validate_bounded(input: &BoundedInput) -> Result<()> {
+    let (low, high) = (input.low_m, input.high_m);
+    validate_views("scene", &input.views)?;
+    require_foreground("scene", &input.views)?;
+    if !(low.is_finite() && high.is_finite() && low.cmplt(high).all()) {
+        return Err(Error::invalid(format!(
+            "scene: the box from {low} to {high} is empty or not finite"
+        )));
+    }
+    require_seen("scene", &input.views, low, high)?;
+    if !input.backdrop.iter().all(|c| (0.0..=1.0).contains(c)) {
+        return Err(Error::invalid(format!(
+            "scene: backdrop {:?} must lie in 0..1",
+            input.backdrop
+        )));
     }
     Ok(())
 }

@@ -4,9 +4,9 @@ use super::chunk::Chunk;
 use crate::field::SkyMap;
 
 /// DVGO's decay rates.
-const BETA1: f32 = 0.9;
-const BETA2: f32 = 0.99;
-const EPSILON: f32 = 1e-8;
+pub(crate) const BETA1: f32 = 0.9;
+pub(crate) const BETA2: f32 = 0.99;
+pub(crate) const EPSILON: f32 = 1e-8;
 
 /// Adam over one parameter array.
 #[derive(Clone, Debug, Default)]

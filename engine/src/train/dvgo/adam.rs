@@ -9,15 +9,12 @@ use rayon::prelude::*;
 use super::bins::Bins;
 use super::chunk::Chunk;
 use super::grid::{Shape, trilinear};
+use crate::backend::cpu::adam::{BETA1, BETA2, EPSILON};
 use crate::backend::cpu::lanes::Lanes;
 use crate::backend::cpu::prefetch::prefetch;
 use crate::backend::cpu::simd::dispatch;
 use crate::backend::cpu::{NO_SLOT, Simd};
 use crate::field::{BRICK_NODES, BRICK_SIDE};
-
-const BETA1: f32 = 0.9;
-const BETA2: f32 = 0.99;
-const EPSILON: f32 = 1e-8;
 
 /// Distances of a cell's corners from its first within a brick.
 const CORNERS: [usize; 8] = [0, 1, 8, 9, 64, 65, 72, 73];

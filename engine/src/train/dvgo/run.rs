@@ -18,7 +18,7 @@ use crate::scene::Draws;
 use crate::train::control::{Progress, Stage as Phase, TrainControl};
 use crate::train::fit::{Run, measured};
 use crate::train::input::{BoundedInput, Trained};
-use crate::train::validate::validate_views;
+use crate::train::validate::validate_bounded;
 use crate::{Error, Result};
 
 /// Colour values of a coarse node: three and one of padding.
@@ -44,14 +44,8 @@ pub fn train_dvgo(
     seed: u64,
     control: &dyn TrainControl,
 ) -> Result<Trained> {
-    validate_views("scene", &input.views)?;
+    validate_bounded(input)?;
     let bounds = (input.low_m, input.high_m);
-    if !(bounds.0.is_finite() && bounds.1.is_finite() && bounds.0.cmplt(bounds.1).all()) {
-        return Err(Error::invalid(format!(
-            "scene: the box from {} to {} is empty or not finite",
-            input.low_m, input.high_m
-        )));
-    }
     let mut session = Session {
         pixels: Pixels::new(&input.views, Framing::of(&input.views).near_m),
         recipe,
