@@ -11,7 +11,7 @@ const RAYS_PER_CHUNK: usize = 256;
 /// A ray ends at this optical depth.
 const STOP_TAU: f32 = 6.9;
 /// Samples lighter than this are not coloured.
-const MIN_WEIGHT: f32 = 1e-3;
+const MIN_WEIGHT: f32 = 1e-4;
 
 /// What one ray shows.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
