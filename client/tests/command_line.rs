@@ -24,7 +24,10 @@ fn every_command_of_the_contract_explains_itself() {
         &["assets", "export"],
         &["assets", "delete"],
     ];
-    for command in commands.into_iter().chain([&["augment"][..], &["demo"]]) {
+    for command in commands
+        .into_iter()
+        .chain([&["augment"][..], &["demo"], &["devices"]])
+    {
         let help = backlot(&[command, &["--help"]].concat());
         assert!(help.status.success(), "{command:?}: {help:?}");
         assert!(
@@ -40,6 +43,7 @@ fn unknown_commands_and_options_fail() {
         &["paint"][..],
         &["assets", "list", "--colour"],
         &["augment", "--count", "many"],
+        &["demo", "--out", "x", "--device", "cuda"],
     ] {
         assert_eq!(backlot(arguments).status.code(), Some(2), "{arguments:?}");
     }

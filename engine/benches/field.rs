@@ -167,7 +167,7 @@ fn stored_form(c: &mut Criterion, field: Field) {
             color_space: ColorSpace::Srgb,
             exposure_ev: 0.0,
         },
-        field,
+        field: field.into(),
     };
     let bytes = asset.encode();
     let mut group = c.benchmark_group("asset");

@@ -27,6 +27,10 @@ struct Args {
     /// Engine threads; 0 means one a core [default: 0]
     #[arg(long, value_name = "N")]
     threads: Option<usize>,
+    /// What renders: auto, cpu, gpu, gpu:NUMBER or gpu:NAME as `backlot devices` lists them; auto never takes a software
+    /// adapter [default: auto]
+    #[arg(long, value_name = "DEVICE")]
+    device: Option<String>,
     /// TOML file with the same values and the limits; the command line wins.
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
@@ -43,6 +47,7 @@ impl Args {
             listen: self.listen,
             workers: self.workers,
             threads: self.threads,
+            device: self.device,
             ..RawConfig::default()
         };
         Ok(line.over(file).check()?)

@@ -4,6 +4,7 @@ use std::net::SocketAddr;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+use backlot_engine::backend::{self, Backend, DeviceChoice};
 use tokio::net::TcpListener;
 use tokio::task::JoinHandle;
 use tokio_util::sync::CancellationToken;
@@ -40,6 +41,11 @@ pub enum Error {
     Store(#[from] store::Error),
     #[error(transparent)]
     Jobs(#[from] jobs::Error),
+    #[error("device {device}: {source}")]
+    Device {
+        device: DeviceChoice,
+        source: backlot_engine::Error,
+    },
     #[error("start worker threads: {0}")]
     Workers(std::io::Error),
     #[error("serve: {0}")]
@@ -51,6 +57,7 @@ impl Kinded for Error {
         match self {
             Self::Store(e) => e.kind(),
             Self::Jobs(e) => e.kind(),
+            Self::Device { source, .. } => source.kind(),
             Self::Listen { .. } | Self::Workers(_) => ErrorKind::Unavailable,
             Self::Serve(_) => ErrorKind::Internal,
         }
@@ -78,6 +85,10 @@ impl Server {
         let listener = TcpListener::bind(config.listen).await.map_err(listening)?;
         let local_addr = listener.local_addr().map_err(listening)?;
         let clock: Arc<dyn Clock> = Arc::new(SystemClock::new());
+        let backend = {
+            let config = config.clone();
+            on_blocking_thread(move || open_device(&config)).await?
+        };
         let (store, queue, workers) = {
             let (config, clock) = (config.clone(), clock.clone());
             on_blocking_thread(move || open(&config, clock, execute)).await?
@@ -88,6 +99,7 @@ impl Server {
         let services = api::Services {
             store: store.clone(),
             queue,
+            backend,
             clock,
             stopping: stopping.clone(),
         };
@@ -180,6 +192,21 @@ fn open(
     let workers =
         Workers::start(config.workers, queue.clone(), port, execute).map_err(Error::Workers)?;
     Ok((store, queue, workers))
+}
+
+/// Before the data directory, so that a device that is not there changes nothing.
+fn open_device(config: &Config) -> Result<Arc<dyn Backend>, Error> {
+    let opened = backend::open(&config.device, config.gpu_memory_bytes);
+    let opened = opened.map_err(|source| Error::Device {
+        device: config.device.clone(),
+        source,
+    })?;
+    tracing::info!(
+        device = opened.device(),
+        backend = opened.name(),
+        "computing"
+    );
+    Ok(opened)
 }
 
 /// The engine's threads are those of the process; the first server that starts in it decides.

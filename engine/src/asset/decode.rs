@@ -34,7 +34,10 @@ impl Asset {
         }
         let layout: FieldLayout = json(&metadata, FIELD_KEY)?;
         let field = read_field(&tensors, &layout, header.format_version)?;
-        Ok(Self { header, field })
+        Ok(Self {
+            header,
+            field: field.into(),
+        })
     }
 }
 

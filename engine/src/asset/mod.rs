@@ -11,11 +11,14 @@ mod tests;
 
 pub use header::{AssetHeader, AssetKind, ColorSpace, FORMAT_VERSION, Usage};
 
+use std::sync::Arc;
+
 use crate::Field;
 
 /// A trained field with its header.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Asset {
     pub header: AssetHeader,
-    pub field: Field,
+    /// Shared, so that a device can tell whether it holds this field already.
+    pub field: Arc<Field>,
 }

@@ -1,3 +1,5 @@
+use std::sync::Arc;
+
 use glam::{DVec3, UVec3, Vec3};
 use half::f16;
 use proptest::prelude::*;
@@ -37,7 +39,7 @@ fn asset() -> Asset {
     sky.logits_mut().fill_with(|| [unit() as f32, 0.5, -1.0]);
     Asset {
         header: header(),
-        field: Field {
+        field: Arc::new(Field {
             bounds_m: (low, low + Vec3::new(4.0, 3.0, 2.0)),
             levels,
             activation: DensityActivation::from_alpha(1e-3, 0.1),
@@ -45,7 +47,7 @@ fn asset() -> Asset {
             sky: Some(SkyMap::new(vec![sky])),
             occupancy,
             step_growth: 0.004,
-        },
+        }),
     }
 }
 
@@ -101,7 +103,8 @@ fn decoding_twice_changes_nothing_more() {
 #[test]
 fn zero_bricks_are_not_stored() {
     let mut asset = asset();
-    asset.field.levels[1].allocate([2, 1, 0]).unwrap();
+    let field = Arc::get_mut(&mut asset.field).unwrap();
+    field.levels[1].allocate([2, 1, 0]).unwrap();
     let back = Asset::decode(&asset.encode()).unwrap();
     assert_eq!(back.field.levels[1].brick_count(), 3);
     assert_eq!(asset.field.levels[1].brick_count(), 4);

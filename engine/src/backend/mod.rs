@@ -4,7 +4,11 @@
 //! back, in stages whose decisions (how many samples, where) are in the result, so that a later stage never decides again.
 //! Storage is the field's own: brick-sparse levels behind dense indices, split by parameter (density apart from features).
 //! `cpu` runs everywhere and is the oracle; `gpu` runs the kernels of `backlot-shaders` on what wgpu finds. Nothing outside
-//! `gpu` names wgpu.
+//! `gpu` names wgpu. [`open`] makes the backend of a [`DeviceChoice`].
+
+mod adapter;
+
+mod choice;
 
 mod marched;
 
@@ -16,6 +20,8 @@ pub mod gpu;
 #[cfg(test)]
 mod test_scene;
 
+pub use adapter::{AdapterKind, AdapterRecord, adapters};
+pub use choice::{AdapterChoice, DeviceChoice, open};
 pub use marched::{Marched, RaySummary};
 
 use std::fmt::Debug;
@@ -23,6 +29,7 @@ use std::sync::Arc;
 
 use crate::Result;
 use crate::field::{Field, MarchRange, Ray};
+use crate::scene::{RenderOptions, RenderedFrame, Scene};
 
 /// A device that computes.
 pub trait Backend: Send + Sync + Debug {
@@ -37,6 +44,18 @@ pub trait Backend: Send + Sync + Debug {
     /// # Errors
     /// [`crate::Error::OutOfMemory`] with needed and available bytes where it does not fit, [`crate::Error::Device`] if the device is lost.
     fn load(&self, field: &Arc<Field>) -> Result<Box<dyn LoadedField>>;
+
+    /// Renders a scene in one volume pass. The result does not depend on the order of `scene.objects`.
+    ///
+    /// # Errors
+    /// [`crate::Error::Cancelled`] once `cancelled` says so (asked between pieces of work), [`crate::Error::Invalid`] for a bad
+    /// camera or pose, or the device's.
+    fn render(
+        &self,
+        scene: &Scene<'_>,
+        options: &RenderOptions,
+        cancelled: &(dyn Fn() -> bool + Sync),
+    ) -> Result<RenderedFrame>;
 }
 
 /// A field resident on a device. Dropping it frees the device's memory.

@@ -1,5 +1,7 @@
 //! Turns a rendered frame into a sample's image: the recorded image around the original movers, what nobody saw filled, shadows cast.
 
+use std::sync::Arc;
+
 use glam::DVec3;
 use rayon::prelude::*;
 
@@ -186,7 +188,7 @@ fn unseen_pixels(
     hidden: &[bool],
     frame: &RenderedFrame,
 ) -> Vec<bool> {
-    let Some(background) = scene.background else {
+    let Some(background) = scene.background.map(Arc::as_ref) else {
         return vec![false; hidden.len()];
     };
     let sight = Sight::new(background, stage.recording);

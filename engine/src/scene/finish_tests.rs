@@ -1,6 +1,7 @@
 //! Finished frames on analytic fields: what is filled, what is shown as recorded, and what must not change.
 
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
 use glam::{DVec2, DVec3, Vec3};
 
@@ -52,8 +53,8 @@ fn recording(frames: u32, follows: bool) -> Recording {
 struct Shot {
     composition: Composition,
     recording: Recording,
-    road: Field,
-    car: Field,
+    road: Arc<Field>,
+    car: Arc<Field>,
 }
 
 impl Shot {
@@ -71,8 +72,8 @@ impl Shot {
                 insert_shadows: false,
             },
             recording,
-            road: road(),
-            car: car(),
+            road: Arc::new(road()),
+            car: Arc::new(car()),
         }
     }
 
@@ -124,7 +125,7 @@ impl Shot {
             &scene,
             &self.composition,
             recorded,
-            field,
+            |i| field(i).map(Arc::as_ref),
             Draws::new(7, 0, u32::MAX),
             &mut after,
         );

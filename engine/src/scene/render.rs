@@ -1,5 +1,6 @@
 //! Renders a scene in one volume pass: background, objects and sky on common samples.
 
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use glam::{DVec2, DVec3, Vec3};
@@ -18,7 +19,7 @@ use crate::{Error, Result};
 #[derive(Debug)]
 pub struct Scene<'a> {
     /// `None` renders objects over transparent black.
-    pub background: Option<&'a Field>,
+    pub background: Option<&'a Arc<Field>>,
     pub objects: Vec<SceneObject<'a>>,
     /// Objects that are part of the background: their pixels are found by depth.
     pub statics: Vec<StaticObject>,
@@ -30,7 +31,7 @@ pub struct Scene<'a> {
 #[derive(Clone, Copy, Debug)]
 pub struct SceneObject<'a> {
     pub instance_id: u16,
-    pub field: &'a Field,
+    pub field: &'a Arc<Field>,
     pub local_from_object: Rigid,
     /// Extents of the annotated cuboid in metres.
     pub size_m: DVec3,
@@ -51,9 +52,9 @@ impl<'a> Scene<'a> {
     /// # Errors
     /// [`Error::Invalid`] if `field` lacks one of the objects.
     pub fn of_composition(
-        background: &'a Field,
+        background: &'a Arc<Field>,
         composition: &Composition,
-        field: impl Fn(usize) -> Option<&'a Field>,
+        field: impl Fn(usize) -> Option<&'a Arc<Field>>,
     ) -> Result<Self> {
         let mut scene = Self {
             background: Some(background),
@@ -166,7 +167,7 @@ fn check_poses(scene: &Scene<'_>) -> Result<()> {
 
 /// A scene with what every ray needs worked out once.
 pub(super) struct Prepared<'a> {
-    pub(super) background: Option<&'a Field>,
+    pub(crate) background: Option<&'a Arc<Field>>,
     /// Nearest first, so that the caller's order cannot matter.
     pub(super) objects: Vec<PreparedObject<'a>>,
     pub(super) statics: Vec<PreparedStatic>,
@@ -178,7 +179,7 @@ pub(super) struct Prepared<'a> {
 
 pub(super) struct PreparedObject<'a> {
     pub(super) instance_id: u16,
-    pub(super) field: &'a Field,
+    pub(crate) field: &'a Arc<Field>,
     pub(super) object_from_local: Rigid,
     pub(super) half_m: Vec3,
     pub(super) tone: Tone,

@@ -1,6 +1,7 @@
 //! Merged rendering and labels on analytic fields: a road, a wall, a parked car in the background, and inserted boxes.
 
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
 use glam::{DVec2, DVec3, Vec3};
 
@@ -23,9 +24,9 @@ const CAR: DVec3 = DVec3::new(4.0, 2.0, 1.6);
 const PARKED_AT: DVec3 = DVec3::new(16.0, -4.0, 0.8);
 
 /// Road at z = 0, a parked car, and a wall across the road at x = 25 on the left side.
-fn background() -> Field {
+fn background() -> Arc<Field> {
     let (low, high) = (Vec3::new(0.0, -10.0, -1.0), Vec3::new(30.0, 10.0, 3.8));
-    solid_field(low, high, 0.2, [0.3, 0.3, 0.35], |p| {
+    let sigma = |p: Vec3| {
         let parked = (p - PARKED_AT.as_vec3()).abs();
         let in_car = parked.cmple(CAR.as_vec3() * 0.5).all();
         let in_wall = (25.0..26.0).contains(&p.x) && p.y > 2.0;
@@ -34,19 +35,21 @@ fn background() -> Field {
         } else {
             0.0
         }
-    })
+    };
+    Arc::new(solid_field(low, high, 0.2, [0.3, 0.3, 0.35], sigma))
 }
 
-fn car(rgb: [f32; 3], sigma: f32) -> Field {
+fn car(rgb: [f32; 3], sigma: f32) -> Arc<Field> {
     let half = (CAR * 0.5).as_vec3();
     let pad = Vec3::splat(0.2);
-    solid_field(-half - pad, half + pad, 0.1, rgb, |p| {
+    let sigma = |p: Vec3| {
         if p.abs().cmple(half).all() {
             sigma
         } else {
             0.0
         }
-    })
+    };
+    Arc::new(solid_field(-half - pad, half + pad, 0.1, rgb, sigma))
 }
 
 fn placed(id: u16, origin: Origin, asset: Option<usize>, x: f64, y: f64) -> PlacedObject {
@@ -75,7 +78,11 @@ fn composition(objects: Vec<PlacedObject>) -> Composition {
     }
 }
 
-fn shoot(background: &Field, library: &[&Field], composition: &Composition) -> RenderedFrame {
+fn shoot(
+    background: &Arc<Field>,
+    library: &[&Arc<Field>],
+    composition: &Composition,
+) -> RenderedFrame {
     let scene =
         Scene::of_composition(background, composition, |i| library.get(i).copied()).unwrap();
     render(&scene, &RenderOptions::default(), &|| false).unwrap()
@@ -229,9 +236,8 @@ fn an_insert_takes_visibility_from_a_parked_car() {
 fn haze_in_an_objects_box_goes_and_the_ground_stays() {
     // Haze of 0.5/m everywhere above the road; the car is solid only in its right half.
     let (low, high) = (Vec3::new(6.0, -4.0, -1.0), Vec3::new(14.0, 4.0, 2.2));
-    let hazy = solid_field(low, high, 0.2, [0.9, 0.9, 0.1], |p| {
-        if p.z <= 0.0 { 60.0 } else { 0.5 }
-    });
+    let sigma = |p: Vec3| if p.z <= 0.0 { 60.0 } else { 0.5 };
+    let hazy = Arc::new(solid_field(low, high, 0.2, [0.9, 0.9, 0.1], sigma));
     let red = car([0.8, 0.1, 0.1], 60.0);
     let scene = composition(vec![placed(1, Origin::Inserted, Some(0), 10.0, 0.0)]);
     let frame = shoot(&hazy, &[&red], &scene);

@@ -4,6 +4,8 @@
 //! A ground pixel's light is then scaled by what is left of both. Surfaces off the caster's ground plane, and pixels that belong to
 //! objects, keep their light.
 
+use std::sync::Arc;
+
 use glam::{DVec2, DVec3};
 use rayon::prelude::*;
 
@@ -96,7 +98,13 @@ pub fn cast_shadows(
                 return None;
             }
             let p = frame.point(scene, i, z);
-            let left = light_left(scene.background, &maps, sun, f64::from(shown[i]), p);
+            let left = light_left(
+                scene.background.map(Arc::as_ref),
+                &maps,
+                sun,
+                f64::from(shown[i]),
+                p,
+            );
             (left < 1.0).then(|| frame.behind_rgb[i].map(|c| darken(c, left)))
         })
         .collect();
@@ -292,7 +300,7 @@ mod tests {
     }
 
     fn left(sun: Option<DVec3>, x: f64, y: f64, z: f64) -> f64 {
-        let field = car();
+        let field = Arc::new(car());
         let object = SceneObject {
             instance_id: 1,
             field: &field,

@@ -4,8 +4,9 @@ use super::composition::{Candidate, Composition, Origin, Stage};
 use super::finish::left_out_silhouette;
 use super::hull::for_each_pixel;
 use super::recorded::RecordedImage;
-use super::render::{RenderOptions, Scene, SceneObject, render};
+use super::render::{RenderOptions, Scene, SceneObject};
 use crate::Result;
+use crate::backend::Backend;
 use crate::field::Field;
 
 /// An affine change of colour in sRGB, per channel: `gain * c + offset`, then clamped.
@@ -55,8 +56,10 @@ const SOLID: f32 = 0.95;
 /// parts to the colour of the recorded ones, which is the tint of the shade.
 ///
 /// # Errors
-/// What [`render`] fails with.
+/// What [`Backend::render`] fails with.
+#[expect(clippy::too_many_arguments, reason = "all parts of one sample")]
 pub fn match_tones<'a>(
+    backend: &dyn Backend,
     stage: &Stage<'_>,
     scene: &Scene<'_>,
     composition: &Composition,
@@ -85,7 +88,7 @@ pub fn match_tones<'a>(
             }
             _ => vehicle_pixels(composition, recorded),
         };
-        let source = own_pixels(scene, in_scene, cancelled)?;
+        let source = own_pixels(backend, scene, in_scene, cancelled)?;
         if let (Some(from), Some(to)) = (Light::of(source), Light::of(target)) {
             tones.push((object.instance_id, from.tone_to(&to)));
         }
@@ -95,6 +98,7 @@ pub fn match_tones<'a>(
 
 /// The object's own colours where it is solid, rendered without anything else.
 fn own_pixels(
+    backend: &dyn Backend,
     scene: &Scene<'_>,
     object: &SceneObject<'_>,
     cancelled: &(dyn Fn() -> bool + Sync),
@@ -113,7 +117,7 @@ fn own_pixels(
         supersample: 1,
         object_supersample: 1,
     };
-    let frame = render(&alone, &options, cancelled)?;
+    let frame = backend.render(&alone, &options, cancelled)?;
     Ok((0..frame.placed_alpha.len())
         .filter(|i| frame.placed_alpha[*i] > SOLID)
         .map(|i| frame.placed_rgb[i].map(|c| c / frame.placed_alpha[i]))

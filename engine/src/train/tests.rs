@@ -219,7 +219,7 @@ fn stored(trained: Trained, views: &[TrainView]) -> (f64, f64, usize) {
             color_space: ColorSpace::Srgb,
             exposure_ev: 0.0,
         },
-        field: trained.field,
+        field: trained.field.into(),
     };
     let bytes = asset.encode();
     let field = Asset::decode(&bytes).unwrap().field;

@@ -6,7 +6,7 @@ use backlot_proto::v1;
 
 use super::convert_drive_log::{object_class_to_wire, rigid_to_wire, vector_to_wire};
 use crate::domain::blob::Digest;
-use crate::samples::{DEPTH_UNIT_M, Sample, SampleBox, render_class};
+use crate::samples::{DEPTH_UNIT_M, Sample, SampleBox};
 
 /// Where a sample comes from, besides what it knows itself.
 #[derive(Clone, Debug)]
@@ -34,7 +34,7 @@ pub(super) fn sample_to_wire(sample: Sample, index: u64, origins: &Origins) -> v
             library_snapshot: format!("librarySnapshots/{}", origins.snapshot),
             background: origins.background.clone(),
             seed: origins.seed,
-            render_class: render_class(),
+            render_class: sample.render_class.clone(),
             insert_shadows: sample.insert_shadows,
             synthetic: sample.synthetic,
             objects,

@@ -3,6 +3,7 @@
 use std::future::Future;
 use std::sync::Arc;
 
+use backlot_engine::backend::Backend;
 use backlot_proto::FILE_DESCRIPTOR_SET;
 use backlot_proto::v1::asset_service_server::AssetServiceServer;
 use backlot_proto::v1::blob_service_server::BlobServiceServer;
@@ -32,6 +33,8 @@ use crate::store::Store;
 pub struct Services {
     pub store: Store,
     pub queue: Arc<Queue>,
+    /// Renders.
+    pub backend: Arc<dyn Backend>,
     pub clock: Arc<dyn Clock>,
     /// Cancelled when the server begins to stop: long streams end.
     pub stopping: CancellationToken,
@@ -63,6 +66,7 @@ fn routes(services: Services, health: HealthReporter) -> Routes {
     let Services {
         store,
         queue,
+        backend,
         clock,
         stopping,
     } = services;
@@ -94,7 +98,7 @@ fn routes(services: Services, health: HealthReporter) -> Routes {
         ))
         .add_service(limited!(
             SampleServiceServer,
-            SampleApi::new(store.clone(), stopping.clone())
+            SampleApi::new(store.clone(), backend, stopping.clone())
         ))
         .add_service(limited!(
             JobServiceServer,

@@ -3,6 +3,7 @@
 use std::pin::Pin;
 use std::sync::Arc;
 
+use backlot_engine::backend::Backend;
 use backlot_proto::v1;
 use backlot_proto::v1::sample_service_server::SampleService;
 use futures::Stream;
@@ -30,9 +31,13 @@ pub(crate) struct SampleApi {
 }
 
 impl SampleApi {
-    pub(crate) fn new(store: Store, stopping: CancellationToken) -> Self {
+    pub(crate) fn new(
+        store: Store,
+        backend: Arc<dyn Backend>,
+        stopping: CancellationToken,
+    ) -> Self {
         Self {
-            cache: Arc::new(AssetCache::new(store)),
+            cache: Arc::new(AssetCache::new(store, backend)),
             renderings: Arc::new(Semaphore::new(MAX_RENDERINGS)),
             stopping,
         }

@@ -1,10 +1,11 @@
-//! Decoded assets, kept while they fit, by the bytes they hold.
+//! Decoded assets, kept while they fit, by the bytes they hold, and the device that renders them.
 
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex};
 
 use backlot_engine::Asset;
 use backlot_engine::asset::AssetHeader;
+use backlot_engine::backend::Backend;
 
 use super::error::Result;
 use crate::domain::blob::Digest;
@@ -19,6 +20,7 @@ const MAX_HEADERS: usize = 16_384;
 #[derive(Debug)]
 pub struct AssetCache {
     store: Store,
+    backend: Arc<dyn Backend>,
     max_bytes: u64,
     kept: Mutex<Kept>,
 }
@@ -40,16 +42,18 @@ struct Entry {
 }
 
 impl AssetCache {
-    pub fn new(store: Store) -> Self {
-        Self::with_limit(store, MAX_BYTES)
-    }
-
-    fn with_limit(store: Store, max_bytes: u64) -> Self {
+    pub fn new(store: Store, backend: Arc<dyn Backend>) -> Self {
         Self {
             store,
-            max_bytes,
+            backend,
+            max_bytes: MAX_BYTES,
             kept: Mutex::default(),
         }
+    }
+
+    /// The device that renders.
+    pub fn backend(&self) -> &dyn Backend {
+        &*self.backend
     }
 
     pub fn store(&self) -> &Store {

@@ -5,14 +5,14 @@ use std::sync::Arc;
 use backlot_engine::asset::AssetKind;
 use backlot_engine::scene::{
     Candidate, Composition, Draws, InstanceMask, Recipe, RecordedImage, RecordedTrack,
-    RenderOptions, Scene, Stage, compose, finish, label, match_tones, needs_recorded, render,
+    RenderOptions, Scene, Stage, compose, finish, label, match_tones, needs_recorded,
 };
 use backlot_engine::{Asset, Error as EngineError};
 
 use super::cache::AssetCache;
 use super::error::{Error, Result};
 use super::library::{self, Objects};
-use super::sample::{Sample, SampleObject, boxes, encode_planes};
+use super::sample::{Sample, SampleObject, boxes, encode_planes, render_class};
 use crate::domain::blob::Digest;
 use crate::domain::ids::AssetId;
 use crate::ingest::{decode_instance_mask, decode_rgb};
@@ -92,6 +92,8 @@ impl RecipeSamples {
         let composition = compose(&stage, candidates, &self.request.recipe, seed, index)?;
         let assets = self.load_placed(&composition, cancelled)?;
         let field = |i: usize| assets[i].as_deref().map(|asset| &asset.field);
+        let shape = |i: usize| field(i).map(Arc::as_ref);
+        let backend = self.cache.backend();
         let mut scene = Scene::of_composition(&self.background.field, &composition, field)?;
         let recorded = self.recorded_image(&stage, &composition)?;
         let tracks = &stage.recording.tracks;
@@ -101,24 +103,25 @@ impl RecipeSamples {
             .filter(|_| self.request.recipe.match_tones);
         let tones = match matched {
             Some(image) => match_tones(
+                backend,
                 &stage,
                 &scene,
                 &composition,
                 candidates,
                 image,
-                field,
+                shape,
                 cancelled,
             )?,
             None => Vec::new(),
         };
         scene.set_tones(&tones);
-        let mut frame = render(&scene, &RenderOptions::default(), cancelled)?;
+        let mut frame = backend.render(&scene, &RenderOptions::default(), cancelled)?;
         let finished = finish(
             &stage,
             &scene,
             &composition,
             recorded.as_ref(),
-            field,
+            shape,
             Draws::new(seed, index, GRAIN),
             &mut frame,
         );
@@ -151,6 +154,7 @@ impl RecipeSamples {
             insert_shadows: composition.insert_shadows,
             synthetic: header.synthetic || placed().any(|i| self.objects.objects[i].synthetic),
             has_replay_only: placed().any(|i| !candidates[i].library),
+            render_class: render_class(backend),
             rejections: composition.rejections,
         })
     }

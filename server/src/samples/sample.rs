@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use backlot_engine::backend::Backend;
 use backlot_engine::backend::cpu::Simd;
 use backlot_engine::camera::{Camera, Rigid};
 use backlot_engine::class::ObjectClass;
@@ -44,6 +45,8 @@ pub struct Sample {
     pub synthetic: bool,
     /// An object that is only good near its recorded poses is in the sample.
     pub has_replay_only: bool,
+    /// See [`render_class`].
+    pub render_class: String,
 }
 
 /// One object of a sample.
@@ -126,13 +129,16 @@ pub(super) fn boxes(
         .collect()
 }
 
-/// Pixels are equal within one class: build, backend and instruction set.
-pub fn render_class() -> String {
+/// Pixels are equal within one class: build, backend, and instruction set or GPU with its driver.
+pub(super) fn render_class(backend: &dyn Backend) -> String {
+    let version = env!("CARGO_PKG_VERSION");
+    if backend.name() != "cpu" {
+        return format!("backlot-{version} {} {}", backend.name(), backend.device());
+    }
     let simd = match Simd::detect() {
         Simd::Baseline => "baseline",
         Simd::Avx2 => "avx2",
         Simd::Avx512 => "avx512",
     };
-    let (version, arch) = (env!("CARGO_PKG_VERSION"), std::env::consts::ARCH);
-    format!("backlot-{version} cpu {arch} {simd}")
+    format!("backlot-{version} cpu {} {simd}", std::env::consts::ARCH)
 }

@@ -4,10 +4,11 @@ use std::sync::Arc;
 
 use backlot_engine::Asset;
 use backlot_engine::asset::{AssetKind, Usage};
+use backlot_engine::backend::Backend;
 use backlot_engine::camera::{Camera, Rigid};
 use backlot_engine::scene::{
     Composition, MAX_OBJECTS, Origin, PlacedObject, RenderOptions, Scene, SceneObject, Tone,
-    ValidRegion, cast_shadows, label, render, shadow_casters,
+    ValidRegion, cast_shadows, label, shadow_casters,
 };
 use glam::{DQuat, DVec2};
 
@@ -15,7 +16,7 @@ use super::cache::AssetCache;
 use super::error::{Error, Result};
 use super::library;
 use super::recipe_samples::Planes;
-use super::sample::{Sample, SampleObject, boxes, encode_planes};
+use super::sample::{Sample, SampleObject, boxes, encode_planes, render_class};
 use crate::domain::blob::Digest;
 use crate::domain::ids::AssetId;
 
@@ -79,6 +80,7 @@ pub fn render_scene(
     };
     let composition = composition(request, &assets, &local_from_world);
     let sample = finish(
+        cache.backend(),
         request,
         background.as_deref(),
         &assets,
@@ -120,6 +122,7 @@ fn composition(
 }
 
 fn finish(
+    backend: &dyn Backend,
     request: &SceneRequest,
     background: Option<&Asset>,
     assets: &[Arc<Asset>],
@@ -145,7 +148,7 @@ fn finish(
         camera: composition.camera,
         local_from_camera: composition.local_from_camera,
     };
-    let mut frame = render(&scene, &RenderOptions::default(), cancelled)?;
+    let mut frame = backend.render(&scene, &RenderOptions::default(), cancelled)?;
     let recording = background.and_then(|asset| asset.header.recording.as_ref());
     let sun = recording.and_then(|recording| recording.sun_direction_local);
     if request.insert_shadows {
@@ -184,5 +187,6 @@ fn finish(
         rejections: Default::default(),
         synthetic: used().any(|asset| asset.header.synthetic),
         has_replay_only: used().any(|asset| asset.header.usage == Usage::ReplayOnly),
+        render_class: render_class(backend),
     })
 }

@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 
+use backlot_engine::backend::DeviceChoice;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 
 /// Turn driving logs into labelled, augmented images.
@@ -39,6 +40,8 @@ pub(crate) enum Command {
     Assets(AssetsCommand),
     /// Render labelled samples from a background and the library's objects.
     Augment(AugmentOptions),
+    /// List what this machine can compute on: GPUs with their limits, and the processor.
+    Devices,
     /// Run everything once with an embedded server: a log goes in, labelled samples come out.
     Demo(DemoOptions),
 }
@@ -273,6 +276,9 @@ pub(crate) struct DemoOptions {
     /// Seed of the generated log, of training and of the samples.
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
+    /// What renders: auto, cpu, gpu, gpu:NUMBER or gpu:NAME as `backlot devices` lists them.
+    #[arg(long, value_name = "DEVICE", default_value = "auto")]
+    pub device: DeviceChoice,
     /// Samples to render; the paper makes 12 of each background.
     #[arg(long, default_value_t = 12)]
     pub count: u64,

@@ -10,6 +10,7 @@ mod input;
 mod assets;
 mod augment;
 mod demo;
+mod devices;
 mod jobs;
 mod logs;
 
@@ -42,6 +43,7 @@ async fn run(arguments: Arguments) -> anyhow::Result<()> {
         Command::Jobs(command) => jobs::run(&open().await?, command, output).await,
         Command::Assets(command) => assets::run(&open().await?, command, output).await,
         Command::Augment(options) => augment::run(&open().await?, &options).await,
+        Command::Devices => devices::run(output),
         Command::Demo(options) => demo::run(&options).await,
     }
 }

@@ -35,6 +35,7 @@ use std::sync::Arc;
 use super::{Backend, LoadedField};
 use crate::Result;
 use crate::field::Field;
+use crate::scene::{self, RenderOptions, RenderedFrame, Scene};
 
 /// The processor this runs on.
 #[derive(Clone, Copy, Debug, Default)]
@@ -55,5 +56,14 @@ impl Backend for CpuBackend {
 
     fn load(&self, field: &Arc<Field>) -> Result<Box<dyn LoadedField>> {
         Ok(Box::new(march::CpuField::new(Arc::clone(field))))
+    }
+
+    fn render(
+        &self,
+        scene: &Scene<'_>,
+        options: &RenderOptions,
+        cancelled: &(dyn Fn() -> bool + Sync),
+    ) -> Result<RenderedFrame> {
+        scene::render(scene, options, cancelled)
     }
 }

@@ -4,6 +4,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
 
 use super::error::Error;
+use crate::backend::{AdapterChoice, AdapterKind, AdapterRecord};
 
 /// An open device with its queue. Cloning shares it.
 #[derive(Clone, Debug)]
@@ -18,20 +19,17 @@ pub struct Device {
 }
 
 impl Device {
-    /// Opens the best adapter: a discrete GPU before an integrated one before a software one.
+    /// Opens an adapter.
     ///
     /// # Errors
-    /// [`Error::NoAdapter`] where there is none, [`Error::Open`] where the driver refuses.
-    pub fn open() -> Result<Self, Error> {
-        let mut adapters = enumerate();
-        adapters.sort_by_key(|adapter| preference(adapter.get_info().device_type));
-        let adapter = adapters
-            .into_iter()
-            .next()
-            .ok_or_else(|| Error::NoAdapter {
-                reason: "no driver for Vulkan, Metal or Direct3D 12 answered".to_owned(),
-            })?;
-        Self::from_adapter(&adapter)
+    /// [`Error::NoAdapter`] where it is not there, [`Error::Open`] where the driver refuses.
+    pub fn open(choice: &AdapterChoice) -> Result<Self, Error> {
+        let found = enumerate();
+        let records: Vec<AdapterRecord> = found.iter().map(record).collect();
+        let index = choice
+            .find(&records)
+            .map_err(|reason| Error::NoAdapter { reason })?;
+        Self::from_adapter(&found[index])
     }
 
     fn from_adapter(adapter: &wgpu::Adapter) -> Result<Self, Error> {
@@ -139,6 +137,11 @@ impl Device {
         })
     }
 
+    /// Whether the device is gone for good.
+    pub(super) fn is_lost(&self) -> bool {
+        self.alive().is_err()
+    }
+
     fn alive(&self) -> Result<(), Error> {
         let lost = self.lost.lock().map_or_else(
             |poisoned| poisoned.into_inner().clone(),
@@ -157,17 +160,52 @@ impl Device {
     }
 }
 
-fn enumerate() -> Vec<wgpu::Adapter> {
-    let instance = wgpu::Instance::new(wgpu::InstanceDescriptor::new_without_display_handle());
-    pollster::block_on(instance.enumerate_adapters(wgpu::Backends::all()))
+/// The adapters of this machine, best kind first.
+pub fn adapters() -> Vec<AdapterRecord> {
+    enumerate().iter().map(record).collect()
 }
 
-fn preference(kind: wgpu::DeviceType) -> u8 {
+fn enumerate() -> Vec<wgpu::Adapter> {
+    let instance = wgpu::Instance::new(wgpu::InstanceDescriptor::new_without_display_handle());
+    let mut adapters = pollster::block_on(instance.enumerate_adapters(wgpu::Backends::all()));
+    // Stable: drivers keep their order within a kind.
+    adapters.sort_by_key(|adapter| preference(kind(adapter.get_info().device_type)));
+    adapters
+}
+
+fn record(adapter: &wgpu::Adapter) -> AdapterRecord {
+    let (info, limits) = (adapter.get_info(), adapter.limits());
+    AdapterRecord {
+        interface: format!("{:?}", info.backend),
+        driver: format!("{} {}", info.driver, info.driver_info)
+            .trim()
+            .to_owned(),
+        kind: kind(info.device_type),
+        name: info.name,
+        max_buffer_bytes: limits.max_buffer_size,
+        max_binding_bytes: limits
+            .max_storage_buffer_binding_size
+            .min(limits.max_buffer_size),
+        max_bindings: limits.max_storage_buffers_per_shader_stage,
+    }
+}
+
+fn kind(device_type: wgpu::DeviceType) -> AdapterKind {
+    match device_type {
+        wgpu::DeviceType::DiscreteGpu => AdapterKind::Discrete,
+        wgpu::DeviceType::IntegratedGpu => AdapterKind::Integrated,
+        wgpu::DeviceType::VirtualGpu => AdapterKind::Virtual,
+        wgpu::DeviceType::Cpu => AdapterKind::Software,
+        wgpu::DeviceType::Other => AdapterKind::Unknown,
+    }
+}
+
+fn preference(kind: AdapterKind) -> u8 {
     match kind {
-        wgpu::DeviceType::DiscreteGpu => 0,
-        wgpu::DeviceType::IntegratedGpu => 1,
-        wgpu::DeviceType::VirtualGpu => 2,
-        wgpu::DeviceType::Cpu => 3,
-        wgpu::DeviceType::Other => 4,
+        AdapterKind::Discrete => 0,
+        AdapterKind::Integrated => 1,
+        AdapterKind::Virtual => 2,
+        AdapterKind::Software => 3,
+        AdapterKind::Unknown => 4,
     }
 }

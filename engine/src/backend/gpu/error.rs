@@ -3,8 +3,8 @@
 /// A device's refusal or failure; becomes [`crate::Error`] at the backend's boundary.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum Error {
-    /// Nothing on this machine can run compute kernels.
-    #[error("no GPU adapter with compute was found: {reason}")]
+    /// The machine does not have the adapter that was asked for.
+    #[error("{reason}")]
     NoAdapter { reason: String },
     /// The adapter is there and opening it failed.
     #[error("open {adapter}: {reason}")]

@@ -12,17 +12,21 @@ mod field;
 
 mod march;
 
+mod durable;
+
 #[cfg(test)]
 mod parity_tests;
 
-pub use device::Device;
+pub use device::{Device, adapters};
+pub use durable::DurableGpu;
 pub use error::Error;
 
 use std::sync::Arc;
 
-use super::{Backend, LoadedField};
+use super::{AdapterChoice, Backend, LoadedField};
 use crate::Result;
 use crate::field::Field;
+use crate::scene::{self, RenderOptions, RenderedFrame, Scene};
 
 /// An open GPU with its compiled kernels.
 #[derive(Clone, Debug)]
@@ -32,14 +36,19 @@ pub struct GpuBackend {
 }
 
 impl GpuBackend {
-    /// Opens the best adapter of this machine.
+    /// Opens an adapter and compiles the kernels.
     ///
     /// # Errors
-    /// [`Error::NoAdapter`] where there is none; see [`Device::open`].
-    pub fn open() -> Result<Self, Error> {
-        let device = Device::open()?;
+    /// [`Error::NoAdapter`] where it is not there; see [`Device::open`].
+    pub fn open(choice: &AdapterChoice) -> Result<Self, Error> {
+        let device = Device::open(choice)?;
         let march = Arc::new(march::MarchDensity::new(&device)?);
         Ok(Self { device, march })
+    }
+
+    /// Whether the device is gone; a new one must be opened.
+    pub fn is_lost(&self) -> bool {
+        self.device.is_lost()
     }
 
     /// Kernels dispatched on this device so far.
@@ -64,5 +73,14 @@ impl Backend for GpuBackend {
             Arc::clone(&self.march),
             resident,
         )))
+    }
+
+    fn render(
+        &self,
+        scene: &Scene<'_>,
+        options: &RenderOptions,
+        cancelled: &(dyn Fn() -> bool + Sync),
+    ) -> Result<RenderedFrame> {
+        scene::render(scene, options, cancelled)
     }
 }

@@ -140,6 +140,10 @@ pub(super) fn publish(
         1,
         "writing the asset",
     );
-    let payload = Asset { header, field }.encode();
+    let payload = Asset {
+        header,
+        field: field.into(),
+    }
+    .encode();
     Ok(port.write_blob(&payload)?)
 }

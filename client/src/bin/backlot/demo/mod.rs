@@ -51,7 +51,10 @@ pub(crate) async fn run(options: &DemoOptions) -> anyhow::Result<()> {
         eprintln!("note: the log is generated: a synthetic, ray-traced street");
     }
     let listen = SocketAddr::from((Ipv4Addr::LOCALHOST, 0));
-    let config = Config::new(options.out.join("store"), listen);
+    let config = Config {
+        device: options.device.clone(),
+        ..Config::new(options.out.join("store"), listen)
+    };
     let server = stages.time("start", Server::start(config)).await?;
     let url = format!("http://{}", server.local_addr());
     eprintln!(

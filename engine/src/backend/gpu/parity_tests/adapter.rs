@@ -4,8 +4,8 @@ use std::io::Write;
 use std::sync::OnceLock;
 use std::sync::atomic::{AtomicU32, Ordering};
 
-use crate::backend::Backend;
-use crate::backend::gpu::GpuBackend;
+use crate::backend::gpu::{Error, GpuBackend};
+use crate::backend::{AdapterChoice, Backend};
 
 /// Runs `check` on the machine's adapter and asserts that it dispatched kernels; says so on stderr if there is no adapter.
 ///
@@ -38,11 +38,17 @@ pub(super) fn on_adapter(test: &str, check: impl FnOnce(&GpuBackend)) {
     }
 }
 
+/// The adapter under test on a device of its own.
+pub(super) fn open() -> Result<GpuBackend, Error> {
+    // Whatever kind it is: kernels are tested on software adapters too.
+    GpuBackend::open(&AdapterChoice::Index(0))
+}
+
 /// Opened once: tests run in parallel and a device is not free.
 fn shared() -> Result<&'static GpuBackend, String> {
     static SHARED: OnceLock<Result<GpuBackend, String>> = OnceLock::new();
     SHARED
-        .get_or_init(|| GpuBackend::open().map_err(|error| error.to_string()))
+        .get_or_init(|| open().map_err(|error| error.to_string()))
         .as_ref()
         .map_err(Clone::clone)
 }

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use glam::Vec3;
 
-use super::adapter::on_adapter;
+use super::adapter::{on_adapter, open};
 use super::compare::{Cpu, Gpu, compare};
 use crate::backend::gpu::GpuBackend;
 use crate::backend::test_scene::{SAMPLES_PER_RAY, away_from_faces, field, march, march_cpu, rays};
@@ -121,7 +121,7 @@ fn parity_of_a_lost_device_is_a_typed_error() {
     on_adapter("lost device", |shared| {
         let field = Arc::new(field());
         // Something dispatched on the shared device shows that only the other one is lost.
-        let gpu = GpuBackend::open().unwrap();
+        let gpu = open().unwrap();
         let loaded = gpu.load(&field).unwrap();
         gpu.device.destroy();
         let error = loaded
