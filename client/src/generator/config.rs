@@ -130,7 +130,8 @@ impl StreetConfig {
             ("frames", f64::from(self.frames), 2.0..=2000.0, "2..=2000"),
             ("width", f64::from(self.width), 16.0..=4096.0, "16..=4096"),
             ("height", f64::from(self.height), 16.0..=4096.0, "16..=4096"),
-            ("travel_m", self.travel_m, 1.0..=100.0, "1..=100"),
+            // The hills around the street begin 300 m out.
+            ("travel_m", self.travel_m, 1.0..=200.0, "1..=200"),
             (
                 "horizontal_fov_rad",
                 self.horizontal_fov_rad,
@@ -141,8 +142,8 @@ impl StreetConfig {
             (
                 "parked_cars",
                 f64::from(self.parked_cars),
-                0.0..=14.0,
-                "0..=14",
+                0.0..=32.0,
+                "0..=32",
             ),
             (
                 "moving_cars",
@@ -192,6 +193,13 @@ impl StreetConfig {
             }
         }
         Ok(())
+    }
+
+    /// Parked cars that line a street for a drive of this length as densely as the default ones do, and never fewer.
+    pub fn parked_along(travel_m: f64) -> u32 {
+        let default = Self::default();
+        let longer = (travel_m / default.travel_m).max(1.0);
+        (f64::from(default.parked_cars) * longer).round() as u32
     }
 
     /// Time between frames.

@@ -13,9 +13,11 @@ const KERB_WIDTH_M: f32 = 0.16;
 const PAVEMENT_Z_M: f32 = 0.13;
 /// Distance of the facades from the middle of the street.
 pub(super) const FACADE_Y_M: f32 = 9.0;
-/// Ends of the street along x; a building closes it at the far end.
+/// Where the street begins along x.
 pub(super) const START_M: f32 = -45.0;
-pub(super) const END_M: f32 = 178.0;
+/// Where it ends at the least, and how far beyond the last frame; a building closes it there.
+const LEAST_END_M: f32 = 178.0;
+const AHEAD_M: f32 = 78.0;
 
 /// What a static triangle is made of.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -66,12 +68,14 @@ impl StreetBuilder {
 }
 
 impl Street {
-    pub(super) fn new(seed: u32) -> Self {
+    /// A street for a drive of this length from x = 0.
+    pub(super) fn new(seed: u32, travel_m: f64) -> Self {
+        let end_m = LEAST_END_M.max(travel_m as f32 + AHEAD_M);
         let mut builder = StreetBuilder::default();
-        add_pavements(&mut builder);
-        let buildings = add_rows(&mut builder, seed);
-        add_trees(&mut builder, seed);
-        add_furniture(&mut builder, seed);
+        add_pavements(&mut builder, end_m);
+        let buildings = add_rows(&mut builder, seed, end_m);
+        add_trees(&mut builder, seed, end_m);
+        add_furniture(&mut builder, seed, end_m);
         add_hills(&mut builder, seed);
         Self {
             mesh: Mesh::new(builder.mesh.triangles),
@@ -81,7 +85,12 @@ impl Street {
     }
 }
 
-fn add_pavements(builder: &mut StreetBuilder) {
+/// How many things stand along the street where `least` stand along the shortest, `every_m` apart.
+fn count_along(least: u32, every_m: f32, end_m: f32) -> u32 {
+    least + ((end_m - LEAST_END_M) / every_m) as u32
+}
+
+fn add_pavements(builder: &mut StreetBuilder, end_m: f32) {
     let (kerb, slab) = (
         builder.material(Material::Kerb),
         builder.material(Material::Pavement),
@@ -91,7 +100,7 @@ fn add_pavements(builder: &mut StreetBuilder) {
             let (a, b) = (side * y0, side * y1);
             (
                 Vec3::new(START_M, a.min(b), -0.2),
-                Vec3::new(END_M - 6.0, a.max(b), PAVEMENT_Z_M),
+                Vec3::new(end_m - 6.0, a.max(b), PAVEMENT_Z_M),
             )
         };
         let inner = ROAD_HALF_WIDTH_M + KERB_WIDTH_M;
@@ -103,12 +112,12 @@ fn add_pavements(builder: &mut StreetBuilder) {
 }
 
 /// Two rows of buildings and one across the far end.
-fn add_rows(builder: &mut StreetBuilder, seed: u32) -> Vec<Building> {
+fn add_rows(builder: &mut StreetBuilder, seed: u32, end_m: f32) -> Vec<Building> {
     let mut buildings = Vec::new();
     for (row, side) in [(0_u32, 1.0_f32), (1, -1.0)] {
         let mut x = START_M - 3.0 * row as f32;
         let mut index = 0;
-        while x < END_M - 8.0 {
+        while x < end_m - 8.0 {
             let draw = |k: u32| unit(seed.wrapping_add(7 + row), index, k);
             let width = 9.0 + 6.5 * draw(0);
             // Now and then a side street leaves a gap.
@@ -136,7 +145,7 @@ fn add_rows(builder: &mut StreetBuilder, seed: u32) -> Vec<Building> {
     }
     for k in 0..4 {
         let building = Building::draw(seed.wrapping_add(5000 + k));
-        let origin = Vec3::new(END_M + 6.0, 12.0 * k as f32 - 24.0, 0.0);
+        let origin = Vec3::new(end_m + 6.0, 12.0 * k as f32 - 24.0, 0.0);
         add_building(
             builder,
             &building,
@@ -150,10 +159,10 @@ fn add_rows(builder: &mut StreetBuilder, seed: u32) -> Vec<Building> {
     buildings
 }
 
-fn add_trees(builder: &mut StreetBuilder, seed: u32) {
+fn add_trees(builder: &mut StreetBuilder, seed: u32, end_m: f32) {
     let bark = builder.material(Material::Bark);
     for (row, side) in [(0_u32, 1.0_f32), (1, -1.0)] {
-        for i in 0..11_u32 {
+        for i in 0..count_along(11, 17.0, end_m) {
             let draw = |k: u32| unit(seed.wrapping_add(70 + row), i, k);
             if draw(0) < 0.2 {
                 continue;
@@ -190,7 +199,7 @@ fn crown(direction: Vec3, salt: u32) -> f32 {
         + 0.05 * value(p * 11.0, salt ^ 78)
 }
 
-fn add_furniture(builder: &mut StreetBuilder, seed: u32) {
+fn add_furniture(builder: &mut StreetBuilder, seed: u32, end_m: f32) {
     let (metal, lamp) = (
         builder.material(Material::Metal),
         builder.material(Material::Lamp),
@@ -199,7 +208,7 @@ fn add_furniture(builder: &mut StreetBuilder, seed: u32) {
         builder.material(Material::RoadSign),
         builder.material(Material::Bin),
     );
-    for i in 0..9_u32 {
+    for i in 0..count_along(9, 21.0, end_m) {
         let side = if i % 2 == 0 { 1.0 } else { -1.0 };
         let root = Vec3::new(-14.0 + 21.0 * i as f32, side * 6.15, PAVEMENT_Z_M);
         let top = root + Vec3::Z * 5.6;
@@ -217,7 +226,7 @@ fn add_furniture(builder: &mut StreetBuilder, seed: u32) {
             lamp,
         );
     }
-    for i in 0..8_u32 {
+    for i in 0..count_along(8, 19.0, end_m) {
         let draw = |k: u32| unit(seed.wrapping_add(300), i, k);
         let side = if i % 2 == 0 { -1.0 } else { 1.0 };
         let root = Vec3::new(

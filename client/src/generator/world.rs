@@ -45,7 +45,7 @@ impl StreetWorld {
             config: config.clone(),
             meshes: actors.iter().map(|actor| actor.design.mesh()).collect(),
             actors,
-            street: Street::new(config.seed as u32),
+            street: Street::new(config.seed as u32, config.travel_m),
         })
     }
 

@@ -18,7 +18,7 @@ const POINT_SPACING_M: f64 = 0.05;
 
 /// What one background is trained from, and how it was made.
 #[derive(Clone, Debug)]
-pub(crate) struct BackgroundSet {
+pub struct BackgroundSet {
     pub input: BackgroundInput,
     /// Size of the first camera's images as they are trained.
     pub image_size: (u32, u32),
@@ -29,7 +29,7 @@ pub(crate) struct BackgroundSet {
 ///
 /// # Errors
 /// [`FrameError`] of the first frame that cannot be loaded. `Ok(None)` if `progress` said stop.
-pub(crate) fn background_set<B: LogBlobs>(
+pub fn background_set<B: LogBlobs>(
     log: &DriveLog,
     blobs: &B,
     hold_out_every: usize,

@@ -30,7 +30,8 @@ mod object_plan;
 #[cfg(test)]
 mod decompose_tests;
 
-pub(crate) use background::{BackgroundSet, background_set, recording};
+pub(crate) use background::recording;
+pub use background::{BackgroundSet, background_set};
 pub use content::LogBlobs;
 pub use frame::FrameError;
 pub use image::ImageError;

@@ -25,12 +25,14 @@ pub(crate) fn read_kitti(path: &Path, parts: &LogParts) -> anyhow::Result<ReadLo
 /// The demo's street with another seed, and as much of it as asked for.
 pub(crate) fn generate(seed: u64, street: &StreetOptions) -> anyhow::Result<ReadLog> {
     let demo = StreetConfig::default();
+    let travel_m = street.travel_m.unwrap_or(demo.travel_m);
     let config = StreetConfig {
         seed,
+        parked_cars: StreetConfig::parked_along(travel_m),
         frames: street.frames.unwrap_or(demo.frames),
         width: street.width.unwrap_or(demo.width),
         height: street.height.unwrap_or(demo.height),
-        travel_m: street.travel_m.unwrap_or(demo.travel_m),
+        travel_m,
         ..demo
     };
     eprintln!("note: a generated log is synthetic: its images are ray-traced");

@@ -1,0 +1,225 @@
+//! Trains the background of a generated street at the paper's scale and says how good it is at which time.
+//!
+//! `cargo run --release -p backlot-client --example background -- --preset standard --train-s 600 --looks-s 300,600`
+
+mod blobs;
+mod clock;
+mod measure;
+
+use std::path::PathBuf;
+use std::sync::Mutex;
+
+use anyhow::{Context, Result, bail, ensure};
+use backlot_client::generator::{StreetConfig, StreetWorld};
+use backlot_engine::Field;
+use backlot_engine::train::{
+    BackgroundInput, Budget, Progress, Stage, TrainControl, TrainPreset, train_background,
+};
+use backlot_server::api::convert_drive_log::drive_log_from_wire;
+use backlot_server::ingest::background_set;
+use clap::{Parser, ValueEnum};
+
+use clock::{Clock, Source};
+use measure::{Moment, Report, asset_bytes, peak_rss_mib, psnr_held_out, write_views};
+
+#[derive(Parser)]
+struct Arguments {
+    #[arg(long, value_enum, default_value = "standard")]
+    preset: Preset,
+    /// Seconds of training, which the schedule is stretched over; without it the preset's own steps are taken.
+    #[arg(long)]
+    train_s: Option<f64>,
+    /// Seconds of training at which the held-out frames are looked at.
+    #[arg(long, value_delimiter = ',')]
+    looks_s: Vec<f64>,
+    /// What a second is: of the wall, or of this process's processor time divided by the threads, which other load on the
+    /// machine lengthens little.
+    #[arg(long, value_enum, default_value = "wall")]
+    clock: Source,
+    #[arg(long, default_value_t = 2)]
+    threads: usize,
+    #[arg(long, default_value_t = 35)]
+    frames: u32,
+    #[arg(long, default_value_t = 150.0)]
+    travel_m: f64,
+    #[arg(long, default_value_t = 960)]
+    width: u32,
+    #[arg(long, default_value_t = 640)]
+    height: u32,
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// One frame in so many is held out.
+    #[arg(long, default_value_t = 8)]
+    hold_out_every: usize,
+    /// Where to write the figures.
+    #[arg(long)]
+    json: Option<PathBuf>,
+    /// Folder for the held-out frames beside what the field shows.
+    #[arg(long)]
+    out: Option<PathBuf>,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum Preset {
+    Quick,
+    Standard,
+    /// The paper's dense box.
+    Paper,
+}
+
+fn main() -> Result<()> {
+    let arguments = Arguments::parse();
+    ensure!(arguments.threads > 0, "--threads must be positive");
+    rayon::ThreadPoolBuilder::new()
+        .num_threads(arguments.threads)
+        .build_global()?;
+    let input = street(&arguments)?;
+    let preset = preset(&arguments)?;
+    let pixels: usize = input.views.iter().map(|v| v.camera.pixel_count()).sum();
+    eprintln!(
+        "{} frames, {pixels} pixels, {} returns",
+        input.views.len(),
+        input.lidar_points.len()
+    );
+    let watch = Watch::new(&arguments, &input);
+    let trained = train_background(&input, &preset, arguments.seed, &watch)?;
+    let train_s = trained.quality.train_seconds;
+    let rss_mib = peak_rss_mib();
+    let state = watch.state.into_inner().expect("no thread panicked");
+    let report = Report {
+        train_s,
+        steps: state.steps,
+        rays: trained.quality.train_rays,
+        psnr_held_out: trained.quality.psnr_held_out,
+        ssim_held_out: trained.quality.ssim_held_out,
+        depth_mae_m: trained.quality.depth_mae_m,
+        psnr_train: trained.quality.psnr_train,
+        peak_rss_mib: rss_mib,
+        field_mib: trained.field.memory_bytes() as f64 / f64::from(1 << 20),
+        voxel_size_m: trained.quality.voxel_size_m,
+        warnings: trained.quality.warnings.clone(),
+        progress: state.moments,
+        asset_mb: None,
+    };
+    if let Some(folder) = &arguments.out {
+        write_views(&trained.field, &input.views, folder)?;
+    }
+    let report = Report {
+        asset_mb: Some(asset_bytes(trained) as f64 / 1e6),
+        ..report
+    };
+    let text = serde_json::to_string_pretty(&report)?;
+    match &arguments.json {
+        Some(path) => std::fs::write(path, text)
+            .with_context(|| format!("{}: cannot be written", path.display()))?,
+        None => println!("{text}"),
+    }
+    Ok(())
+}
+
+/// The street's log, decomposed as a job would, at full resolution.
+fn street(arguments: &Arguments) -> Result<BackgroundInput> {
+    let config = StreetConfig {
+        seed: arguments.seed,
+        frames: arguments.frames,
+        width: arguments.width,
+        height: arguments.height,
+        travel_m: arguments.travel_m,
+        parked_cars: StreetConfig::parked_along(arguments.travel_m),
+        ..StreetConfig::default()
+    };
+    let mut log = StreetWorld::new(&config)?.read_log()?;
+    log.drive_log.name = "driveLogs/street".to_owned();
+    let drive_log = match drive_log_from_wire(log.drive_log) {
+        Ok(drive_log) => drive_log,
+        Err(violations) => bail!("the generated log is not valid: {violations:?}"),
+    };
+    let blobs = blobs::MemoryBlobs(log.blobs);
+    let every = arguments.hold_out_every;
+    let set = background_set(&drive_log, &blobs, every, u32::MAX, |_, _| true)?;
+    Ok(set.expect("nothing stops it").input)
+}
+
+fn preset(arguments: &Arguments) -> Result<TrainPreset> {
+    let mut preset = TrainPreset::background(match arguments.preset {
+        Preset::Quick => Budget::Quick,
+        Preset::Standard => Budget::Standard,
+        Preset::Paper => Budget::Paper,
+    });
+    if let Some(seconds) = arguments.train_s {
+        ensure!(seconds > 0.0, "--train-s must be positive");
+        preset.seconds = seconds;
+        preset.steps = u64::MAX;
+        preset.most_passes = f64::INFINITY;
+    }
+    Ok(preset)
+}
+
+/// Looks at the held-out frames at the asked moments, on a clock that stands still meanwhile.
+struct Watch<'a> {
+    input: &'a BackgroundInput,
+    clock: Clock,
+    looks_s: &'a [f64],
+    state: Mutex<State>,
+}
+
+#[derive(Default)]
+struct State {
+    away_s: f64,
+    looked: usize,
+    steps: u64,
+    moments: Vec<Moment>,
+}
+
+impl<'a> Watch<'a> {
+    fn new(arguments: &'a Arguments, input: &'a BackgroundInput) -> Self {
+        Self {
+            input,
+            clock: Clock::start(arguments.clock, arguments.threads),
+            looks_s: &arguments.looks_s,
+            state: Mutex::default(),
+        }
+    }
+}
+
+impl TrainControl for Watch<'_> {
+    fn progress(&self, progress: Progress) {
+        if progress.stage == Stage::Train && progress.step.is_multiple_of(500) {
+            let psnr = progress.psnr_train.unwrap_or(f64::NAN);
+            let train_s = self.seconds();
+            eprintln!(
+                "{train_s:7.1} s  step {:6}  train {psnr:5.2} dB",
+                progress.step
+            );
+        }
+    }
+
+    fn inspect(&self, progress: Progress, field: &Field) {
+        let train_s = self.seconds();
+        let mut state = self.state.lock().expect("no thread panicked");
+        state.steps = progress.step;
+        let due = self.looks_s.iter().filter(|at| train_s >= **at).count();
+        if due <= state.looked {
+            return;
+        }
+        state.looked = due;
+        let before_s = self.clock.seconds();
+        let psnr_held_out = psnr_held_out(field, &self.input.views);
+        let peak_rss_mib = peak_rss_mib();
+        eprintln!("{train_s:7.1} s  held out {psnr_held_out:5.2} dB  {peak_rss_mib:.0} MiB");
+        state.moments.push(Moment {
+            train_s,
+            psnr_held_out,
+        });
+        state.away_s += self.clock.seconds() - before_s;
+    }
+
+    fn cancelled(&self) -> bool {
+        false
+    }
+
+    fn seconds(&self) -> f64 {
+        let away_s = self.state.lock().expect("no thread panicked").away_s;
+        self.clock.seconds() - away_s
+    }
+}
