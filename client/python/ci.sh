@@ -3,14 +3,9 @@
 # With PROGRAMS, or with BACKLOT_SERVER and BACKLOT_BACKGROUND set, the end-to-end test runs too.
 set -euo pipefail
 here=$(cd "$(dirname "$0")" && pwd)
-programs=${1:+$(cd "$1" && pwd)}
+if [ $# -gt 0 ]; then exec "$here/with_street.sh" "$1" "$here/ci.sh"; fi
 scratch=$(mktemp -d)
-server_pid=
-cleanup() {
-  if [ -n "$server_pid" ]; then kill "$server_pid" 2>/dev/null || true; wait "$server_pid" 2>/dev/null || true; fi
-  rm -rf "$scratch"
-}
-trap cleanup EXIT
+trap 'rm -rf "$scratch"' EXIT
 
 python3 -m venv "$scratch/venv"
 python=$scratch/venv/bin/python
@@ -18,34 +13,6 @@ export PIP_DISABLE_PIP_VERSION_CHECK=1
 "$python" -m pip install --quiet "$here[test]" 'ruff==0.17.6'
 "$python" -m ruff check --quiet --no-cache "$here"
 "$python" -m ruff format --quiet --no-cache --check "$here"
-
-start_server() {
-  local port
-  port=$("$python" -c 'import socket; s = socket.socket(); s.bind(("127.0.0.1", 0)); print(s.getsockname()[1])')
-  export BACKLOT_SERVER=http://127.0.0.1:$port
-  "$programs/backlotd" --data-dir "$scratch/data" --listen "127.0.0.1:$port" >"$scratch/server.log" 2>&1 &
-  server_pid=$!
-  for _ in $(seq 100); do
-    if "$programs/backlot" logs list >/dev/null 2>&1; then return; fi
-    sleep 0.1
-  done
-  cat "$scratch/server.log" >&2
-  return 1
-}
-
-train() {
-  "$programs/backlot" logs upload --format generated --name street --seed 7 --frames 20 --width 320 --height 192 --travel-m 24
-  "$programs/backlot" jobs submit background --log street --budget quick --watch
-  "$programs/backlot" jobs submit objects --log street --budget quick --watch
-}
-
-if [ -n "$programs" ]; then
-  start_server
-  train >"$scratch/train.log" 2>&1 || { cat "$scratch/train.log" "$scratch/server.log" >&2; exit 1; }
-  BACKLOT_BACKGROUND=$("$programs/backlot" assets list --kind background --output json |
-    "$python" -c 'import json, sys; print(json.load(sys.stdin)[0]["name"])')
-  export BACKLOT_BACKGROUND
-fi
 
 # The installed package, not the source folder, is what is tested.
 cd "$scratch"

@@ -8,13 +8,24 @@ use backlot_proto::v1;
 use serde::Serialize;
 
 use crate::error::{Error, Result};
-use crate::labels::{kitti_calibration, kitti_labels, sample_record};
+use crate::labels::{
+    CocoSet, NUSCENES_MAP, NUSCENES_VERSION, NuscenesTables, kitti_calibration, kitti_labels,
+    kitti_tracking_labels, sample_record, waymo_components, waymo_segment,
+};
 
 /// Forms in which labels are written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum LabelFormat {
+    /// `labels/*.txt` and `calib/`; for clips also `labels_tracking/`.
     Kitti,
+    /// `labels/*.json`: everything a sample says.
     Json,
+    /// `coco.json` for the whole set.
+    Coco,
+    /// `v1.0-backlot/` for the whole set: the folder is nuScenes' data root.
+    Nuscenes,
+    /// `waymo/COMPONENT/SEGMENT.parquet`, a segment a sample.
+    Waymo,
 }
 
 /// Writes samples below a folder. The same samples make the same files, byte for byte.
@@ -23,6 +34,8 @@ pub struct SampleFiles {
     out: PathBuf,
     formats: Vec<LabelFormat>,
     entries: Vec<IndexEntry>,
+    coco: CocoSet,
+    nuscenes: NuscenesTables,
 }
 
 /// Where the files of one frame are, relative to the index.
@@ -51,6 +64,8 @@ impl SampleFiles {
             out: out.to_owned(),
             formats: formats.to_vec(),
             entries: Vec::new(),
+            coco: CocoSet::default(),
+            nuscenes: NuscenesTables::default(),
         }
     }
 
@@ -62,7 +77,7 @@ impl SampleFiles {
                 0..=1 => format!("{:06}", sample.index),
                 _ => format!("{:06}_{i}", sample.index),
             };
-            let files = self.write_frame(sample, frame, &stem)?;
+            let files = self.write_frame(sample, i, &stem)?;
             self.entries.push(IndexEntry {
                 index: sample.index,
                 camera_id: frame.camera_id.clone(),
@@ -70,10 +85,48 @@ impl SampleFiles {
                 files,
             });
         }
+        self.write_sample_labels(sample)?;
+        self.gather(sample, first)?;
         Ok(&self.entries[first..])
     }
 
-    /// Writes `index.json` for the samples written so far; `provenance` is any sample's.
+    /// Labels that are one file a sample.
+    fn write_sample_labels(&self, sample: &v1::Sample) -> Result<()> {
+        if self.formats.contains(&LabelFormat::Kitti) && sample.frames.len() > 1 {
+            let labels = kitti_tracking_labels(sample);
+            let stem = format!("{:06}", sample.index);
+            self.put_new("labels_tracking", &stem, "txt", labels.as_bytes())?;
+        }
+        if self.formats.contains(&LabelFormat::Waymo) {
+            let components = waymo_components(sample).map_err(|e| Error::Protocol {
+                doing: format!("writing labels of sample {}", sample.index),
+                what: format!("Parquet: {e}"),
+            })?;
+            let segment = waymo_segment(sample);
+            for (component, table) in components {
+                self.put_new(&format!("waymo/{component}"), &segment, "parquet", &table)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Labels that are one file for the set wait until the index is written.
+    fn gather(&mut self, sample: &v1::Sample, first: usize) -> Result<()> {
+        let image = |entry: &IndexEntry| entry.files["image"].clone();
+        let images: Vec<String> = self.entries[first..].iter().map(image).collect();
+        if self.formats.contains(&LabelFormat::Coco) {
+            for (position, image) in images.iter().enumerate() {
+                let added = self.coco.add(sample, position, image);
+                added.map_err(|e| bad_mask(sample, &e))?;
+            }
+        }
+        if self.formats.contains(&LabelFormat::Nuscenes) {
+            self.nuscenes.add(sample, &images);
+        }
+        Ok(())
+    }
+
+    /// Writes `index.json`, and the labels that are one file a set, for the samples written so far; `provenance` is any sample's.
     pub fn write_index(&self, provenance: &v1::SampleProvenance) -> Result<()> {
         let index = Index {
             seed: provenance.seed,
@@ -82,15 +135,31 @@ impl SampleFiles {
             render_class: &provenance.render_class,
             samples: &self.entries,
         };
-        self.put("index.json", pretty(&index).as_bytes())
+        self.put("index.json", pretty(&index).as_bytes())?;
+        if self.formats.contains(&LabelFormat::Coco) {
+            self.put("coco.json", self.coco.to_json(provenance).as_bytes())?;
+        }
+        if self.formats.contains(&LabelFormat::Nuscenes) {
+            for (table, rows) in self.nuscenes.files() {
+                let path = format!("{NUSCENES_VERSION}/{table}");
+                self.put(&path, rows.as_bytes())?;
+            }
+            let mut map = std::io::Cursor::new(Vec::new());
+            image::GrayImage::new(1, 1)
+                .write_to(&mut map, image::ImageFormat::Png)
+                .expect("one pixel encodes");
+            self.put(NUSCENES_MAP, map.get_ref())?;
+        }
+        Ok(())
     }
 
     fn write_frame(
         &self,
         sample: &v1::Sample,
-        frame: &v1::SampleFrame,
+        position: usize,
         stem: &str,
     ) -> Result<BTreeMap<&'static str, String>> {
+        let frame = &sample.frames[position];
         let mut files = BTreeMap::new();
         let planes = [
             ("image", "images", &frame.image_png),
@@ -104,10 +173,7 @@ impl SampleFiles {
             }
         }
         if self.formats.contains(&LabelFormat::Kitti) {
-            let labels = kitti_labels(sample, frame).map_err(|e| Error::Protocol {
-                doing: format!("writing labels of sample {}", sample.index),
-                what: format!("the ignore mask does not decode: {e}"),
-            })?;
+            let labels = kitti_labels(sample, frame).map_err(|e| bad_mask(sample, &e))?;
             files.insert(
                 "label_kitti",
                 self.put_new("labels", stem, "txt", labels.as_bytes())?,
@@ -119,7 +185,7 @@ impl SampleFiles {
             );
         }
         if self.formats.contains(&LabelFormat::Json) {
-            let record = pretty(&sample_record(sample, frame));
+            let record = pretty(&sample_record(sample, position));
             files.insert(
                 "label_json",
                 self.put_new("labels", stem, "json", record.as_bytes())?,
@@ -139,6 +205,13 @@ impl SampleFiles {
         let folder = path.parent().unwrap_or(&self.out);
         fs::create_dir_all(folder).map_err(|e| Error::io(folder, e))?;
         fs::write(&path, content).map_err(|e| Error::io(&path, e))
+    }
+}
+
+fn bad_mask(sample: &v1::Sample, error: &image::ImageError) -> Error {
+    Error::Protocol {
+        doing: format!("writing labels of sample {}", sample.index),
+        what: format!("the ignore mask does not decode: {error}"),
     }
 }
 

@@ -163,6 +163,10 @@ def make_sample(index: int, seed: int, snapshot: str = SNAPSHOT) -> samples_pb2.
                         amodal=common_pb2.Box2D(x_min=9.5, y_min=8, x_max=20, y_max=14),
                         visible_pixels=60, visible_fraction=1,
                         camera_from_cuboid=_rigid(away, 0, 0, 10),
+                        world_from_cuboid=_rigid(common_pb2.Quaternion(w=1), 11, 2, 3),
+                        ego_from_cuboid=_rigid(common_pb2.Quaternion(w=1), 10, 0, 0),
+                        velocity_mps=common_pb2.Vector3(x=5),
+                        mask_runs=runs_of(instance == 300),
                     )
                 ],
             )
@@ -177,6 +181,13 @@ def make_sample(index: int, seed: int, snapshot: str = SNAPSHOT) -> samples_pb2.
         provenance=samples_pb2.SampleProvenance(library_snapshot=snapshot, background="assets/street", seed=seed),
         rejections={"collision": 2},
     )  # fmt: skip
+
+
+def runs_of(mask: np.ndarray) -> list[int]:
+    """Lengths of the alternating runs of a mask read down its columns, the first of them outside."""
+    flat = np.concatenate([[False], mask.T.ravel()])
+    changes = np.flatnonzero(np.diff(flat))
+    return np.diff([0, *changes, mask.size]).tolist()
 
 
 def image_of(index: int, seed: int) -> np.ndarray:

@@ -1,5 +1,6 @@
 """Against a real server that holds a trained background: set BACKLOT_SERVER (address) and BACKLOT_BACKGROUND (asset name)."""
 
+import dataclasses
 import itertools
 import os
 import types
@@ -8,7 +9,7 @@ import numpy as np
 import pytest
 from cutting_proxy import CuttingProxy
 
-from backlot import Client, InvalidArgumentError, NotFoundError, Recipe, ShardedSamples
+from backlot import Client, Clip, InvalidArgumentError, NotFoundError, Recipe, RemoveActor, ShardedSamples
 from backlot.transport import parse_target
 
 SERVER, BACKGROUND = os.environ.get("BACKLOT_SERVER"), os.environ.get("BACKLOT_BACKGROUND")
@@ -77,6 +78,8 @@ def check_visible_box(frame, box):
         return
     assert box.visible.tolist() == [columns.min(), rows.min(), columns.max() + 1, rows.max() + 1]
     assert box.visible_pixels == len(rows)
+    assert np.array_equal(box.mask(*frame.instance.shape), frame.instance == box.instance_id)
+    np.testing.assert_allclose(frame.world_from_ego @ box.ego_from_cuboid, box.world_from_cuboid, atol=1e-6)
     depth = frame.depth_z_m[rows, columns]
     length = np.linalg.norm(box.in_camera[3:6])
     assert abs(np.median(depth[depth > 0]) - box.in_camera[2]) < length, "its pixels are not where its box is"
@@ -108,6 +111,34 @@ def projected_box(frame, camera_from_cuboid, size_m):
     u, v = (frame.intrinsics @ (corners[:3] / corners[2]))[:2]
     height, width = frame.instance.shape
     return np.clip([u.min(), v.min(), u.max(), v.max()], 0, [width, height, width, height])
+
+
+def test_objects_of_a_clip_drive_at_their_velocity(client, recipe):
+    clip = dataclasses.replace(recipe, clip=Clip(4, stride=2, min_speed_mps=2, max_speed_mps=4), longer_side_px=96)
+    sample = client.get_sample(clip, seed=SEED, index=0)
+    assert len(sample.frames) == 4
+    moved = 0
+    for before, after in itertools.pairwise(sample.frames):
+        seconds = (after.timestamp_ns - before.timestamp_ns) * 1e-9
+        assert seconds > 0
+        later = {box.instance_id: box for box in after.boxes_2d}
+        for box in before.boxes_2d:
+            if box.instance_id in later and box.velocity_mps is not None:
+                way = later[box.instance_id].world_from_cuboid[:3, 3] - box.world_from_cuboid[:3, 3]
+                np.testing.assert_allclose(way, box.velocity_mps * seconds, atol=0.3)
+                moved += np.linalg.norm(way) > 0.2
+    assert moved > 0, "nothing moves"
+
+
+def test_an_actor_is_removed_or_the_request_names_it(client, recipe):
+    plain = client.get_sample(recipe, seed=SEED, index=0)
+    movers = [box.track_id for box in plain.boxes_3d if box.origin in ("REPLAYED", "RECORDED")]
+    assert movers, "the street has movers"
+    without = dataclasses.replace(recipe, edits=(RemoveActor(movers[0]),))
+    sample = client.get_sample(without, seed=SEED, index=0)
+    assert movers[0] not in [box.track_id for box in sample.boxes_3d]
+    with pytest.raises(InvalidArgumentError, match="no track"):
+        client.get_sample(dataclasses.replace(recipe, edits=(RemoveActor("nobody"),)), seed=SEED, index=0)
 
 
 def test_samples_are_random_access_and_depend_on_the_seed(client, recipe, samples):

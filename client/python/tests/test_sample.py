@@ -1,5 +1,6 @@
 """Decoding: units, frames, types, and answers that must be refused."""
 
+import dataclasses
 import io
 import math
 
@@ -8,7 +9,7 @@ import peer
 import pytest
 from PIL import Image
 
-from backlot import ContractError, Recipe
+from backlot import Clip, ContractError, FollowActor, GivenObject, Recipe, RemoveActor, ShiftActor, Waypoint
 from backlot.sample import decode
 
 
@@ -38,6 +39,38 @@ def test_boxes_in_world_and_camera_agree_with_the_geometry():
         sample.frame.world_from_camera @ seen.camera_from_cuboid, box.world_from_cuboid, atol=1e-12
     )
     assert seen.amodal.tolist() == [9.5, 8, 20, 14] and seen.visible is None
+
+
+def test_a_view_has_its_pose_in_every_frame_its_mask_and_its_velocity():
+    frame = decode(peer.make_sample(0, seed=0)).frame
+    seen = frame.boxes_2d[0]
+    np.testing.assert_allclose(frame.world_from_ego @ seen.ego_from_cuboid, seen.world_from_cuboid, atol=1e-12)
+    assert seen.velocity_mps.tolist() == [5, 0, 0]
+    mask = seen.mask(*frame.instance.shape)
+    assert np.array_equal(mask, frame.instance == 300)
+    assert not np.array_equal(seen.mask(*frame.instance.shape[::-1]).T, mask), "rows are not columns"
+
+
+def test_what_an_older_server_does_not_say_is_derived_or_absent():
+    proto = peer.make_sample(0, seed=0)
+    for field in ("world_from_cuboid", "ego_from_cuboid", "velocity_mps", "mask_runs"):
+        proto.frames[0].boxes_2d[0].ClearField(field)
+    seen = decode(proto).frame.boxes_2d[0]
+    assert seen.velocity_mps is None and not seen.mask(peer.HEIGHT, peer.WIDTH).any()
+    assert seen.ego_from_cuboid[:3, 3].tolist() == [10, 0, 0]
+
+
+def test_a_clip_has_frames_in_order_and_no_only_one():
+    proto = peer.make_sample(0, seed=0)
+    proto.frames.append(proto.frames[0])
+    proto.frames[1].timestamp_ns = 100_000_000
+    proto.frames[1].boxes_2d[0].world_from_cuboid.translation_m.x = 11.5
+    sample = decode(proto)
+    assert [f.timestamp_ns for f in sample.frames] == [0, 100_000_000]
+    positions = [f.boxes_2d[0].world_from_cuboid[0, 3] for f in sample.frames]
+    assert positions == [11, 11.5] and sample.boxes_3d[0].world_from_cuboid[0, 3] == 11
+    with pytest.raises(ValueError):
+        sample.frame  # noqa: B018
 
 
 def test_the_camera_pose_of_a_box_is_derived_where_the_server_leaves_it_out():
@@ -81,19 +114,41 @@ def _unknown_instance(proto):
     proto.frames[0].boxes_2d[0].instance_id = 7
 
 
+def _short_mask(proto):
+    proto.frames[0].boxes_2d[0].mask_runs[0] -= 1
+
+
 def _no_rotation(proto):
     proto.boxes_3d[0].cuboid.world_from_cuboid.rotation.w = float("nan")
 
 
 @pytest.mark.parametrize(
     "breakage",
-    [_smaller_image, _cut_image, _no_image, _grey_image, _deep_instance, _unknown_instance, _no_rotation],
+    [_smaller_image, _cut_image, _no_image, _grey_image, _deep_instance, _unknown_instance, _short_mask, _no_rotation],
 )
 def test_a_sample_that_contradicts_itself_is_refused(breakage):
     proto = peer.make_sample(0, seed=0)
     breakage(proto)
     with pytest.raises(ContractError):
         decode(proto)
+
+
+def test_a_recipe_carries_actors_and_clips():
+    path = (Waypoint(0.0, 10.0, 2.0, 0.1), Waypoint(1.0, 18.0, 2.0, 0.1))
+    recipe = Recipe(
+        background="assets/a",
+        edits=(RemoveActor("1"), ShiftActor("2", y_m=1.5), FollowActor("3", path)),
+        given_objects=(GivenObject("assets/car", path[:1]),),
+        clip=Clip(8, stride=2, max_speed_mps=9.0),
+    )
+    proto = recipe.to_proto()
+    assert [edit.WhichOneof("edit") for edit in proto.edits] == ["remove", "shift", "follow"]
+    assert proto.edits[1].shift.y_m == 1.5 and proto.edits[2].follow.waypoints[1].position_m.x == 18
+    assert proto.given_objects[0].trajectory.waypoints[0].heading_rad == 0.1
+    assert (proto.clip.frame_count, proto.clip.stride, proto.clip.max_speed_mps) == (8, 2, 9.0)
+    assert not Recipe(background="assets/a").to_proto().HasField("clip")
+    other = dataclasses.replace(recipe, edits=(RemoveActor("2"), *recipe.edits[1:]))
+    assert recipe.fingerprint() != other.fingerprint()
 
 
 def test_a_recipe_keeps_absent_and_zero_apart_and_refuses_unknown_names():

@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use backlot_proto::v1;
 use serde::Serialize;
 
+use super::mask::compressed;
 use super::{boxes_of, kitti_type, origin_name};
 use crate::geometry::{rigid_from_wire, vector_from_wire};
 
@@ -13,6 +14,8 @@ use crate::geometry::{rigid_from_wire, vector_from_wire};
 #[derive(Clone, Debug, Serialize)]
 pub struct SampleRecord {
     pub index: u64,
+    /// Position in a clip.
+    pub frame_id: usize,
     pub camera_id: String,
     pub frame_index: u32,
     pub timestamp_ns: i64,
@@ -49,9 +52,14 @@ pub struct ObjectRecord {
     pub size_m: [f64; 3],
     pub world_from_cuboid: PoseRecord,
     pub camera_from_cuboid: PoseRecord,
+    pub ego_from_cuboid: PoseRecord,
+    /// In the world; `None` where the log does not tell.
+    pub velocity_mps: Option<[f64; 3]>,
     pub box_amodal: Option<[f64; 4]>,
     pub box_visible: Option<[f64; 4]>,
     pub visible_pixels: u32,
+    /// Its pixels, in COCO's compressed run lengths.
+    pub mask: MaskRecord,
     pub visible_fraction: f64,
     pub truncation: f64,
     pub occluder_instance_id: Option<u32>,
@@ -63,6 +71,13 @@ pub struct ObjectRecord {
     pub source_track_id: Option<String>,
     /// How the asset's colours were matched to the frame.
     pub tone: Option<ToneRecord>,
+}
+
+#[derive(Clone, Debug, Serialize)]
+pub struct MaskRecord {
+    /// Height, width.
+    pub size: [u32; 2],
+    pub counts: String,
 }
 
 /// sRGB channel c became gain * c + offset: red, green, blue.
@@ -83,12 +98,14 @@ pub struct ProvenanceRecord {
     pub objects: Vec<String>,
 }
 
-/// The record of one frame of a sample.
-pub fn sample_record(sample: &v1::Sample, frame: &v1::SampleFrame) -> SampleRecord {
+/// The record of frame `position` of a sample.
+pub fn sample_record(sample: &v1::Sample, position: usize) -> SampleRecord {
+    let frame = &sample.frames[position];
     let view = frame.view.unwrap_or_default();
     let provenance = sample.provenance.clone().unwrap_or_default();
     SampleRecord {
         index: sample.index,
+        frame_id: position,
         camera_id: frame.camera_id.clone(),
         frame_index: frame.frame_index,
         timestamp_ns: frame.timestamp_ns,
@@ -101,7 +118,9 @@ pub fn sample_record(sample: &v1::Sample, frame: &v1::SampleFrame) -> SampleReco
         },
         world_from_ego: pose(frame.world_from_ego.as_ref()),
         depth_unit_m: frame.depth_unit_m,
-        objects: boxes_of(sample, frame).map(object_record).collect(),
+        objects: boxes_of(sample, frame)
+            .map(|(box_3d, box_2d)| object_record(&view, box_3d, box_2d))
+            .collect(),
         provenance: ProvenanceRecord {
             library_snapshot: provenance.library_snapshot,
             background: provenance.background,
@@ -116,7 +135,11 @@ pub fn sample_record(sample: &v1::Sample, frame: &v1::SampleFrame) -> SampleReco
     }
 }
 
-fn object_record((box_3d, box_2d): (&v1::SampleBox, &v1::SampleBox2D)) -> ObjectRecord {
+fn object_record(
+    view: &v1::CameraView,
+    box_3d: &v1::SampleBox,
+    box_2d: &v1::SampleBox2D,
+) -> ObjectRecord {
     let cuboid = box_3d.cuboid.unwrap_or_default();
     let some = |text: &String| (!text.is_empty()).then(|| text.clone());
     ObjectRecord {
@@ -124,11 +147,17 @@ fn object_record((box_3d, box_2d): (&v1::SampleBox, &v1::SampleBox2D)) -> Object
         origin: origin_name(box_3d.origin()),
         class: kitti_type(box_3d.object_class()),
         size_m: vector_from_wire(cuboid.size_m.as_ref()).to_array(),
-        world_from_cuboid: pose(cuboid.world_from_cuboid.as_ref()),
+        world_from_cuboid: pose(box_2d.world_from_cuboid.as_ref()),
         camera_from_cuboid: pose(box_2d.camera_from_cuboid.as_ref()),
+        ego_from_cuboid: pose(box_2d.ego_from_cuboid.as_ref()),
+        velocity_mps: box_2d.velocity_mps.map(|v| [v.x, v.y, v.z]),
         box_amodal: box_2d.amodal.as_ref().map(bounds),
         box_visible: box_2d.visible.as_ref().map(bounds),
         visible_pixels: box_2d.visible_pixels,
+        mask: MaskRecord {
+            size: [view.height, view.width],
+            counts: compressed(&box_2d.mask_runs),
+        },
         visible_fraction: box_2d.visible_fraction,
         truncation: box_2d.truncation,
         occluder_instance_id: Some(box_2d.occluder_instance_id).filter(|id| *id != 0),

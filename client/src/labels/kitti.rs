@@ -25,12 +25,11 @@ pub fn kitti_labels(
     sample: &v1::Sample,
     frame: &v1::SampleFrame,
 ) -> Result<String, image::ImageError> {
-    let view = frame.view.unwrap_or_default();
-    let last_pixel = [view.width, view.height].map(|n| f64::from(n) - 1.0);
     let mut lines = String::new();
     for (box_3d, box_2d) in boxes_of(sample, frame) {
-        if let Some(line) = object_line(box_3d, box_2d, last_pixel) {
-            lines += &line;
+        if let Some(fields) = object_fields(frame, box_3d, box_2d) {
+            let (class, truncation) = (kitti_type(box_3d.object_class()), box_2d.truncation);
+            lines += &format!("{class} {truncation:.2} {fields}\n");
         }
     }
     if !frame.ignore_png.is_empty() {
@@ -44,15 +43,17 @@ pub fn kitti_labels(
     Ok(lines)
 }
 
-/// `None` for objects without a visible pixel.
-fn object_line(
+/// The fields of an object's line after type and truncation; `None` without a visible pixel.
+pub(super) fn object_fields(
+    frame: &v1::SampleFrame,
     box_3d: &v1::SampleBox,
     box_2d: &v1::SampleBox2D,
-    last_pixel: [f64; 2],
 ) -> Option<String> {
     if box_2d.visible_pixels == 0 {
         return None;
     }
+    let view = frame.view.unwrap_or_default();
+    let last_pixel = [view.width, view.height].map(|n| f64::from(n) - 1.0);
     let bounds = box_2d.visible.or(box_2d.amodal)?;
     let x = [bounds.x_min, bounds.x_max].map(|x| (x - 0.5).clamp(0.0, last_pixel[0]));
     let y = [bounds.y_min, bounds.y_max].map(|y| (y - 0.5).clamp(0.0, last_pixel[1]));
@@ -67,19 +68,8 @@ fn object_line(
         _ => 2,
     };
     Some(format!(
-        "{} {:.2} {occluded} {alpha:.4} {:.2} {:.2} {:.2} {:.2} {:.4} {:.4} {:.4} {:.4} {:.4} {:.4} {rotation_y:.4}\n",
-        kitti_type(box_3d.object_class()),
-        box_2d.truncation,
-        x[0],
-        y[0],
-        x[1],
-        y[1],
-        size.z,
-        size.y,
-        size.x,
-        bottom.x,
-        bottom.y,
-        bottom.z,
+        "{occluded} {alpha:.4} {:.2} {:.2} {:.2} {:.2} {:.4} {:.4} {:.4} {:.4} {:.4} {:.4} {rotation_y:.4}",
+        x[0], y[0], x[1], y[1], size.z, size.y, size.x, bottom.x, bottom.y, bottom.z,
     ))
 }
 

@@ -1,11 +1,27 @@
 //! Label files of samples.
 
 mod json;
+
 mod kitti;
+mod kitti_tracking;
 mod regions;
 
+mod coco;
+mod mask;
+
+mod nuscenes;
+mod token;
+
+mod parquet_file;
+mod waymo;
+
+pub use coco::CocoSet;
 pub use json::{SampleRecord, sample_record};
 pub use kitti::{kitti_calibration, kitti_labels};
+pub use kitti_tracking::kitti_tracking_labels;
+pub use nuscenes::NuscenesTables;
+pub(crate) use nuscenes::{NUSCENES_MAP, NUSCENES_VERSION};
+pub use waymo::{waymo_components, waymo_segment};
 
 use backlot_proto::v1;
 
@@ -43,5 +59,6 @@ pub fn origin_name(origin: v1::BoxOrigin) -> &'static str {
         v1::BoxOrigin::Replayed => "replayed",
         v1::BoxOrigin::Recorded => "recorded",
         v1::BoxOrigin::Static => "static",
+        v1::BoxOrigin::Moved => "moved",
     }
 }

@@ -78,7 +78,7 @@ fn projected_edge(camera: &Camera, a: DVec3, b: DVec3) -> Option<(DVec2, DVec2)>
 fn origin_color(origin: v1::BoxOrigin) -> Rgb<u8> {
     match origin {
         v1::BoxOrigin::Inserted => Rgb([60, 255, 90]),
-        v1::BoxOrigin::Replaced => Rgb([255, 170, 30]),
+        v1::BoxOrigin::Replaced | v1::BoxOrigin::Moved => Rgb([255, 170, 30]),
         v1::BoxOrigin::Replayed | v1::BoxOrigin::Recorded => Rgb([80, 190, 255]),
         v1::BoxOrigin::Static | v1::BoxOrigin::Unspecified => Rgb([235, 235, 235]),
     }

@@ -6,12 +6,15 @@ use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
 use super::collision::Occupied;
+use super::edit::{Edit, ResolvedEdit, own_asset, resolve, resolve_given};
+use super::movement::{ClipSpace, Course, Movement};
 use super::placement::Placer;
 use super::projection::amodal_box;
 use super::random::Draws;
 use super::recipe::Recipe;
 use super::recording::{RecordedTrack, Recording};
 use super::rejection::Rejection;
+use super::timeline::{Instant, recorded_velocity};
 use super::valid_region::ValidRegion;
 use crate::asset::{AssetHeader, Usage};
 use crate::camera::{Camera, Rigid};
@@ -73,6 +76,15 @@ pub enum Origin {
     Recorded,
     /// An original static object, part of the background.
     Static,
+    /// An original mover, rendered from its own asset where the recipe puts it.
+    Moved,
+}
+
+impl Origin {
+    /// Whether the object is where the log recorded it.
+    pub fn is_as_recorded(self) -> bool {
+        matches!(self, Self::Replayed | Self::Recorded | Self::Static)
+    }
 }
 
 /// One object of a sample, in the background's local frame.
@@ -88,8 +100,10 @@ pub struct PlacedObject {
     pub asset: Option<usize>,
     /// Originals: their track. Replaced: the track whose slot it is.
     pub track_id: Option<String>,
-    /// Seen from a side that was never observed (paper presets only).
+    /// Seen from a side that was never observed (paper presets, given poses and later frames of clips only).
     pub beyond_coverage: bool,
+    /// In the local frame; `None` where the log does not tell.
+    pub velocity_mps: Option<DVec3>,
 }
 
 impl<'a> Stage<'a> {
@@ -152,10 +166,11 @@ pub const ATTEMPTS: u32 = 64;
 /// Originals further from the camera than this are not labelled, metres.
 const LABEL_RANGE_M: f64 = 100.0;
 
-/// Composes sample `index` of a recipe. Bit-equal on every machine.
+/// Composes the first frame of sample `index` of a recipe, the only one unless the recipe asks for a clip. Bit-equal on every machine.
 ///
 /// # Errors
-/// [`Error::Invalid`] for a bad recipe, an unknown camera or frame, and when nothing can be drawn although objects are asked for.
+/// [`Error::Invalid`] for a bad recipe, an unknown camera, frame, track or asset, and when nothing can be drawn although objects are
+/// asked for.
 pub fn compose(
     stage: &Stage<'_>,
     library: &[Candidate],
@@ -163,7 +178,20 @@ pub fn compose(
     seed: u64,
     index: u64,
 ) -> Result<Composition> {
+    compose_first(stage, library, recipe, seed, index).map(|(first, _)| first)
+}
+
+/// The first frame, and where everything is in the later ones.
+pub(super) fn compose_first<'a>(
+    stage: &Stage<'a>,
+    library: &[Candidate],
+    recipe: &Recipe,
+    seed: u64,
+    index: u64,
+) -> Result<(Composition, ClipSpace<'a>)> {
     recipe.validate()?;
+    let edits = resolve(stage, library, &recipe.edits)?;
+    let given = resolve_given(library, &recipe.given_objects)?;
     let mut draws = Draws::new(seed, index, 0);
     let frames = eligible_frames(stage.recording, recipe)?;
     let frame = frames[draws.below(frames.len())];
@@ -189,23 +217,44 @@ pub fn compose(
         rejections: BTreeMap::new(),
         insert_shadows: recipe.insert_shadows,
     };
+    let frames = recipe.clip.frames_from(stage.recording, frame);
+    let mut clip = ClipSpace::new(*stage, frames.expect("only such frames are eligible"));
     let mut placer = Placer::new(*stage, library, eligible, recipe, &composition);
-    place_originals(&mut composition, &mut placer, seed, index);
+    place_originals(&mut composition, &mut placer, &mut clip, &edits);
+    replace_originals(&mut composition, &mut placer, &mut clip, seed, index);
+    move_originals(&mut composition, &mut placer, &mut clip, &edits);
+    place_given(&mut composition, &mut placer, &mut clip, &given);
+    let [slow, fast] = recipe.clip.speed_mps;
     for slot in 0..requested {
         let mut attempts = (0..ATTEMPTS).map(|a| Draws::new(seed, index, attempt(slot, a)));
         let placed = attempts.find_map(|mut draws| {
-            placer
-                .propose(&mut draws)
+            let driven = placer.propose(&mut draws).and_then(|object| {
+                let speed_mps = draws.uniform(slow, fast);
+                let movement = clip.drive(object, Course::Straight { speed_mps })?;
+                placer.test_later_views(movement, &clip)
+            });
+            driven
                 .map_err(|reason| count(&mut composition.rejections, reason))
                 .ok()
         });
         match placed {
-            Some(object) => placer.accept(object, &mut composition.objects),
+            Some(movement) => accept(&mut composition, &mut placer, &mut clip, movement),
             None => count(&mut composition.rejections, Rejection::GaveUp),
         }
     }
     number(&mut composition.objects);
-    Ok(composition)
+    clip.name(&composition.objects);
+    Ok((composition, clip))
+}
+
+fn accept(
+    composition: &mut Composition,
+    placer: &mut Placer<'_>,
+    clip: &mut ClipSpace<'_>,
+    movement: Movement,
+) {
+    placer.accept(movement.object.clone(), &mut composition.objects);
+    clip.accept(movement);
 }
 
 /// Attempt 0 belongs to the sample itself; slots have disjoint ranges, so that none shifts another's draws.
@@ -248,6 +297,14 @@ fn eligible_frames(recording: &Recording, recipe: &Recipe) -> Result<Vec<usize>>
             "recipe: the background has no frame of camera \"{camera_id}\" among those asked for"
         )));
     }
+    let starts = |first: &usize| recipe.clip.frames_from(recording, *first).is_some();
+    let frames: Vec<usize> = frames.into_iter().filter(starts).collect();
+    if frames.is_empty() {
+        return Err(Error::invalid(format!(
+            "recipe: clip: camera \"{camera_id}\" has no {} frames, {} apart, from any of the frames asked for",
+            recipe.clip.frames, recipe.clip.stride
+        )));
+    }
     Ok(frames)
 }
 
@@ -272,61 +329,90 @@ fn output_camera(camera: &Camera, longer_side_px: u32) -> Camera {
     camera.resized(side(camera.width), side(camera.height))
 }
 
-/// Static originals are labelled where they stand; movers are replayed, shown as recorded, replaced or left out.
-fn place_originals(composition: &mut Composition, placer: &mut Placer<'_>, seed: u64, index: u64) {
+/// Static originals are labelled where they stand; movers are replayed, shown as recorded, or left out.
+fn place_originals(
+    composition: &mut Composition,
+    placer: &mut Placer<'_>,
+    clip: &mut ClipSpace<'_>,
+    edits: &[ResolvedEdit<'_>],
+) {
     let stage = placer.stage;
-    let recipe = placer.recipe;
-    for (i, track) in stage.recording.tracks.iter().enumerate() {
-        let Some(pose) = pose_at(track, composition.frame) else {
-            continue;
-        };
-        let original = Occupied {
-            local_from_cuboid: pose,
-            size_m: track.size_m,
-        };
-        placer.originals.push((i, original));
-        if !in_image(composition, &original) {
-            continue;
-        }
-        let mut object = PlacedObject {
-            instance_id: 0,
-            origin: Origin::Static,
-            class: track.class,
-            size_m: track.size_m,
-            local_from_object: pose,
-            asset: None,
-            track_id: Some(track.track_id.clone()),
-            beyond_coverage: false,
-        };
-        if !track.moving {
-            composition.objects.push(object);
-            continue;
-        }
-        object.origin = Origin::Replayed;
-        object.asset = placer.library.iter().position(|asset| {
-            asset.source_log == stage.source_log && asset.source_track_id == track.track_id
-        });
-        if recipe.drop_originals {
-            composition.left_out.push(LeftOut {
-                track_id: track.track_id.clone(),
-                occupied: original,
-                asset: object.asset,
-            });
-            placer.originals.pop();
-            continue;
-        }
-        if object.asset.is_none() {
-            object.origin = Origin::Recorded;
-        }
-        composition.objects.push(object);
+    let removed = edits.iter().filter(|e| *e.edit == Edit::Remove);
+    clip.absent.extend(removed.map(|e| e.track));
+    if placer.recipe.drop_originals {
+        let tracks = stage.recording.tracks.iter().enumerate();
+        clip.absent
+            .extend(tracks.filter(|(_, t)| t.moving).map(|(i, _)| i));
     }
-    replace_originals(composition, placer, seed, index);
+    for (i, track) in stage.recording.tracks.iter().enumerate() {
+        let Some(local_from_cuboid) = pose_at(track, composition.frame) else {
+            continue;
+        };
+        if !clip.absent.contains(&i) {
+            let original = Occupied {
+                local_from_cuboid,
+                size_m: track.size_m,
+            };
+            placer.originals.push((i, original));
+        }
+        show_original(composition, &stage, placer.library, &clip.absent, i);
+    }
+}
+
+/// Adds a track as the composition's frame shows it, or to what it leaves out; nothing if it is not in the image.
+pub(super) fn show_original(
+    composition: &mut Composition,
+    stage: &Stage<'_>,
+    library: &[Candidate],
+    absent: &[usize],
+    index: usize,
+) {
+    let track = &stage.recording.tracks[index];
+    let Some(pose) = pose_at(track, composition.frame) else {
+        return;
+    };
+    let occupied = Occupied {
+        local_from_cuboid: pose,
+        size_m: track.size_m,
+    };
+    if !in_image(composition, &occupied) {
+        return;
+    }
+    let asset = match track.moving {
+        true => own_asset(stage, library, &track.track_id),
+        false => None,
+    };
+    if absent.contains(&index) {
+        composition.left_out.push(LeftOut {
+            track_id: track.track_id.clone(),
+            occupied,
+            asset,
+        });
+        return;
+    }
+    let origin = match (track.moving, asset) {
+        (false, _) => Origin::Static,
+        (true, Some(_)) => Origin::Replayed,
+        (true, None) => Origin::Recorded,
+    };
+    composition.objects.push(PlacedObject {
+        instance_id: 0,
+        origin,
+        class: track.class,
+        size_m: track.size_m,
+        local_from_object: pose,
+        asset,
+        track_id: Some(track.track_id.clone()),
+        beyond_coverage: false,
+        velocity_mps: recorded_velocity(stage.recording, track, composition.frame),
+    });
 }
 
 /// After every original is known, so that a replacement is tested against all of them.
 fn replace_originals(
     composition: &mut Composition,
     placer: &mut Placer<'_>,
+    clip: &mut ClipSpace<'_>,
     seed: u64,
     index: u64,
 ) {
@@ -339,6 +425,14 @@ fn replace_originals(
         let Some(pose) = pose_at(track, composition.frame).filter(|_| track.moving) else {
             continue;
         };
+        if placer
+            .recipe
+            .edits
+            .iter()
+            .any(|e| e.track_id == track.track_id)
+        {
+            continue;
+        }
         let original = Occupied {
             local_from_cuboid: pose,
             size_m: track.size_m,
@@ -350,34 +444,115 @@ fn replace_originals(
         }
         let placed = (1..ATTEMPTS).find_map(|a| {
             let mut draws = Draws::new(seed, index, attempt(slot, a));
-            placer
+            let driven = placer
                 .replace(i, &original, &mut draws)
+                .and_then(|mut object| {
+                    object.track_id = Some(track.track_id.clone());
+                    let track_from_object = pose.inverse() * object.local_from_object;
+                    let course = Course::Slot {
+                        track: i,
+                        track_from_object,
+                    };
+                    clip.drive(object, course)
+                });
+            driven
                 .map_err(|reason| count(&mut composition.rejections, reason))
                 .ok()
         });
-        let Some(mut object) = placed else {
+        let Some(movement) = placed else {
             count(&mut composition.rejections, Rejection::GaveUp);
             continue;
         };
-        object.track_id = Some(track.track_id.clone());
-        let is_original = |o: &PlacedObject| {
-            o.track_id == object.track_id && matches!(o.origin, Origin::Replayed | Origin::Recorded)
-        };
-        if let Some(at) = composition.objects.iter().position(is_original) {
-            let asset = composition.objects.remove(at).asset;
-            composition.left_out.push(LeftOut {
-                track_id: track.track_id.clone(),
-                occupied: original,
-                asset,
-            });
-        }
-        placer.originals.retain(|(track, _)| *track != i);
-        placer.accept(object, &mut composition.objects);
+        vacate(composition, placer, clip, i);
+        accept(composition, placer, clip, movement);
     }
 }
 
+/// Leaves an original out of the sample.
+fn vacate(
+    composition: &mut Composition,
+    placer: &mut Placer<'_>,
+    clip: &mut ClipSpace<'_>,
+    index: usize,
+) {
+    let track = &placer.stage.recording.tracks[index];
+    let is_original = |o: &PlacedObject| {
+        o.track_id.as_ref() == Some(&track.track_id)
+            && matches!(o.origin, Origin::Replayed | Origin::Recorded)
+    };
+    if let Some(at) = composition.objects.iter().position(is_original) {
+        let original = composition.objects.remove(at);
+        composition.left_out.push(LeftOut {
+            track_id: track.track_id.clone(),
+            occupied: original.occupied(),
+            asset: original.asset,
+        });
+    }
+    placer.originals.retain(|(track, _)| *track != index);
+    clip.absent.push(index);
+}
+
+/// Moves originals as the recipe says; one that cannot stand where it should stays as recorded.
+fn move_originals(
+    composition: &mut Composition,
+    placer: &mut Placer<'_>,
+    clip: &mut ClipSpace<'_>,
+    edits: &[ResolvedEdit<'_>],
+) {
+    for edit in edits {
+        let Some(asset) = edit.asset else { continue };
+        let track = &placer.stage.recording.tracks[edit.track];
+        let recorded = pose_at(track, composition.frame);
+        if recorded.is_none() && matches!(edit.edit, Edit::Shift(_)) {
+            continue;
+        }
+        let mut object = placer.posed(asset, Rigid::IDENTITY, Origin::Moved);
+        object.track_id = Some(track.track_id.clone());
+        let moved = clip.along(object, Some(edit.track), |instant| match edit.edit {
+            Edit::Shift(shift) => {
+                let pose = instant.pose(|frame| track.local_from_cuboid[frame])?;
+                Some(shift.of(&pose))
+            }
+            Edit::Follow(path) => Some(path.at(instant.time_s)),
+            Edit::Remove => None,
+        });
+        let tested = moved.and_then(|movement| placer.test_given(movement, Some(edit.track)));
+        match tested {
+            Ok(movement) => {
+                vacate(composition, placer, clip, edit.track);
+                accept(composition, placer, clip, movement);
+            }
+            Err(reason) => refuse(composition, reason),
+        }
+    }
+}
+
+/// Places the objects whose poses the recipe gives.
+fn place_given(
+    composition: &mut Composition,
+    placer: &mut Placer<'_>,
+    clip: &mut ClipSpace<'_>,
+    assets: &[usize],
+) {
+    let recipe = placer.recipe;
+    for (given, asset) in recipe.given_objects.iter().zip(assets) {
+        let object = placer.posed(*asset, Rigid::IDENTITY, Origin::Inserted);
+        let path = |instant: &Instant| Some(given.trajectory.at(instant.time_s));
+        let driven = clip.along(object, None, path);
+        match driven.and_then(|movement| placer.test_given(movement, None)) {
+            Ok(movement) => accept(composition, placer, clip, movement),
+            Err(reason) => refuse(composition, reason),
+        }
+    }
+}
+
+fn refuse(composition: &mut Composition, reason: Rejection) {
+    count(&mut composition.rejections, reason);
+    count(&mut composition.rejections, Rejection::GivenRefused);
+}
+
 /// A static object stands where it was last seen also in frames in which the log does not list it.
-fn pose_at(track: &RecordedTrack, frame: usize) -> Option<Rigid> {
+pub(super) fn pose_at(track: &RecordedTrack, frame: usize) -> Option<Rigid> {
     let poses = &track.local_from_cuboid;
     if track.moving || poses[frame].is_some() {
         return poses[frame];

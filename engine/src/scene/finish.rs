@@ -176,7 +176,8 @@ fn fill_unseen(
 fn is_barrier(composition: &Composition, frame: &RenderedFrame, i: usize) -> bool {
     let owner = frame.instance[i];
     let stays = |o: &&super::PlacedObject| {
-        o.instance_id == owner && o.track_id.is_some() && o.origin != Origin::Replaced
+        let moved = matches!(o.origin, Origin::Replaced | Origin::Moved);
+        o.instance_id == owner && o.track_id.is_some() && !moved
     };
     !frame.shows_behind(i) || composition.objects.iter().any(|o| stays(&o))
 }

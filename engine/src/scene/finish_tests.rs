@@ -101,6 +101,7 @@ impl Shot {
             asset: Some(0),
             track_id: None,
             beyond_coverage: false,
+            velocity_mps: None,
         });
         self
     }

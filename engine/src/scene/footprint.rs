@@ -46,6 +46,12 @@ impl Footprint {
         self.centre + self.forward * (along * self.half.x) + left * (across * self.half.y)
     }
 
+    /// Whether a point lies in the rectangle, edges included.
+    pub fn contains(&self, p: DVec2) -> bool {
+        let d = p - self.centre;
+        d.dot(self.forward).abs() <= self.half.x && d.perp_dot(self.forward).abs() <= self.half.y
+    }
+
     /// Corners, counter-clockwise.
     pub fn corners(&self) -> [DVec2; 4] {
         [

@@ -1,11 +1,12 @@
 //! What an image shows of each object of its scene.
 
-use glam::DVec2;
+use glam::{DVec2, DVec3};
 
 use super::composition::{Composition, PlacedObject};
 use super::frame::RenderedFrame;
 use super::lidar::count_returns;
 use super::projection::{PixelBox, amodal_box};
+use super::rle::column_runs;
 use super::valid_region::ValidRegion;
 use crate::camera::Rigid;
 
@@ -25,8 +26,13 @@ pub struct FrameLabel {
     pub truncation: f64,
     /// Instance that hides most of it; 0 if none, or the background does.
     pub occluder: u16,
+    /// Run lengths of the instance's pixels, see [`column_runs`].
+    pub mask_runs: Vec<u32>,
     pub camera_from_object: Rigid,
     pub ego_from_object: Rigid,
+    pub local_from_object: Rigid,
+    /// In the local frame; `None` where the log does not tell.
+    pub velocity_mps: Option<DVec3>,
     /// Returns that a 64-beam scanner at the ego would get from it (simulated).
     pub lidar_points: u32,
 }
@@ -43,6 +49,7 @@ pub fn label(
     let slots = usize::from(highest.unwrap_or(0)) + 1;
     let owned = owned_pixels(frame, slots);
     let returns = count_returns(composition, region, frame, slots);
+    let mut runs = column_runs(&frame.instance, frame.width as usize, slots);
     composition
         .objects
         .iter()
@@ -51,6 +58,7 @@ pub fn label(
             let lidar_points = returns[usize::from(object.instance_id)];
             Some(FrameLabel {
                 lidar_points,
+                mask_runs: std::mem::take(&mut runs[usize::from(object.instance_id)]),
                 ..label_of(composition, frame, object, bounds, visible_px)
             })
         })
@@ -77,8 +85,11 @@ fn label_of(
         visible_fraction: f64::from(visible_px) / f64::from(alone_px),
         truncation: bounds.map_or(1.0, |b| b.truncation(&composition.camera)),
         occluder: occluder(frame, id),
+        mask_runs: Vec::new(),
         camera_from_object,
         ego_from_object: composition.local_from_ego.inverse() * object.local_from_object,
+        local_from_object: object.local_from_object,
+        velocity_mps: object.velocity_mps,
         lidar_points: 0,
     }
 }

@@ -17,12 +17,17 @@ mod path;
 mod region_builder;
 mod valid_region;
 
+mod clip;
 mod composition;
+mod edit;
+mod movement;
 mod placement;
 mod projection;
 mod recipe;
 mod rejection;
 mod sight;
+mod timeline;
+mod trajectory;
 
 mod frame;
 mod merge;
@@ -41,13 +46,18 @@ mod tone;
 
 mod labels;
 mod lidar;
+mod rle;
 
 #[cfg(test)]
 mod box_world;
 #[cfg(test)]
+mod clip_tests;
+#[cfg(test)]
 mod composition_tests;
 #[cfg(test)]
 mod finish_tests;
+#[cfg(test)]
+mod label_tests;
 #[cfg(test)]
 mod region_tests;
 #[cfg(test)]
@@ -55,11 +65,13 @@ mod render_tests;
 #[cfg(test)]
 mod solid_field;
 
+pub use clip::compose_clip;
 pub use collision::{Occupied, intersection_area_m2};
 pub use composition::{
     ATTEMPTS, Candidate, Composition, LeftOut, Origin, PlacedObject, Stage, compose,
 };
 pub use density::{DensityField, HALF_TAU};
+pub use edit::{ActorEdit, Edit, GivenObject, MAX_EDITS, MAX_GIVEN_OBJECTS, Shift};
 pub use finish::{Finished, finish};
 pub use footprint::{Footprint, GroundPlane};
 pub use frame::RenderedFrame;
@@ -73,6 +85,9 @@ pub use recording::{RecordedCamera, RecordedFrame, RecordedTrack, Recording};
 pub use region_builder::RegionConfig;
 pub use rejection::Rejection;
 pub use render::{RenderOptions, Scene, SceneObject, StaticObject, render};
+pub use rle::{column_runs, mask_of_runs};
 pub use shadow::{Caster, cast_shadows, shadow_casters};
+pub use timeline::{Clip, MAX_CLIP_FRAMES};
 pub use tone::{Tone, match_tones};
+pub use trajectory::{MAX_WAYPOINTS, Trajectory, Waypoint};
 pub use valid_region::{Cell, NO_GROUND, Unsupported, ValidRegion};

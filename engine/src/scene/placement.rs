@@ -6,9 +6,11 @@ use super::collision::Occupied;
 use super::composition::{Candidate, Composition, Origin, PlacedObject, Stage};
 use super::coverage::{covers, wrap};
 use super::footprint::Footprint;
+use super::movement::{ClipSpace, Movement};
 use super::projection::amodal_box;
 use super::random::Draws;
 use super::recipe::{PlacementPreset, Recipe};
+use super::recording::RecordedFrame;
 use super::rejection::Rejection;
 use super::sight::clear_fraction;
 use crate::camera::{Camera, Rigid};
@@ -31,9 +33,9 @@ pub(super) struct Placer<'a> {
 }
 
 /// Room left between objects: mirrors and errors of the boxes.
-const CLEARANCE_M: f64 = 0.3;
+pub(super) const CLEARANCE_M: f64 = 0.3;
 /// Free ground asked for around a footprint.
-const FOOTPRINT_MARGIN_M: f64 = 0.1;
+pub(super) const FOOTPRINT_MARGIN_M: f64 = 0.1;
 /// Half the width of the ring of cells around a drawn distance.
 const RING_M: f64 = 1.5;
 /// A detector learns little from less.
@@ -136,7 +138,49 @@ impl<'a> Placer<'a> {
         objects.push(object);
     }
 
-    fn posed(&self, index: usize, local_from_object: Rigid, origin: Origin) -> PlacedObject {
+    /// A given pose is asked no more than to touch nothing; whether the asset was seen from there is noted.
+    pub(super) fn test_given(
+        &self,
+        mut movement: Movement,
+        track: Option<usize>,
+    ) -> Result<Movement, Rejection> {
+        self.test_collision(&movement.object, track)?;
+        let asset = movement.object.asset.expect("given objects have assets");
+        let pose = movement.object.local_from_object;
+        movement.object.beyond_coverage = !self.covered(&self.library[asset], &pose);
+        Ok(movement)
+    }
+
+    /// Where poses are drawn conditionally on coverage, the later frames of a clip may not show an object's unknown sides either.
+    pub(super) fn test_later_views(
+        &self,
+        movement: Movement,
+        clip: &ClipSpace<'_>,
+    ) -> Result<Movement, Rejection> {
+        if self.recipe.preset != PlacementPreset::Default {
+            return Ok(movement);
+        }
+        for k in 1..clip.frames.len() {
+            let Some(object) = clip.at_frame(&movement, k) else {
+                continue;
+            };
+            let frame = &self.stage.recording.frames[clip.frames[k]];
+            let camera_from_object = frame.local_from_camera.inverse() * object.local_from_object;
+            let in_view = amodal_box(&self.camera, &camera_from_object, object.size_m)
+                .and_then(|bounds| bounds.clipped(&self.camera));
+            if in_view.is_some() && beyond_coverage(self.library, self.recipe, frame, &object) {
+                return Err(Rejection::Coverage);
+            }
+        }
+        Ok(movement)
+    }
+
+    pub(super) fn posed(
+        &self,
+        index: usize,
+        local_from_object: Rigid,
+        origin: Origin,
+    ) -> PlacedObject {
         let asset = &self.library[index];
         PlacedObject {
             instance_id: 0,
@@ -147,6 +191,7 @@ impl<'a> Placer<'a> {
             asset: Some(index),
             track_id: None,
             beyond_coverage: !self.covered(asset, &local_from_object),
+            velocity_mps: None,
         }
     }
 
@@ -333,8 +378,21 @@ impl<'a> Placer<'a> {
     }
 }
 
+/// Whether a frame's camera sees an object from where its asset was not observed; never for objects without an asset.
+pub(super) fn beyond_coverage(
+    library: &[Candidate],
+    recipe: &Recipe,
+    frame: &RecordedFrame,
+    object: &PlacedObject,
+) -> bool {
+    let object_from_local = object.local_from_object.inverse();
+    let eye = object_from_local.point(frame.local_from_camera.translation_m);
+    let asset = object.asset.map(|i| &library[i]);
+    asset.is_some_and(|asset| !covers(&asset.coverage, eye, recipe.coverage_slack_rad))
+}
+
 /// Covers a car whose ego frame is at the rear axle (KITTI's IMU, nuScenes) or on the roof (KITTI's Velodyne).
-fn ego_box(local_from_ego: &Rigid) -> Occupied {
+pub(super) fn ego_box(local_from_ego: &Rigid) -> Occupied {
     Occupied {
         local_from_cuboid: Rigid::new(
             local_from_ego.rotation,

@@ -2,6 +2,9 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::edit::{self, ActorEdit, Edit, GivenObject};
+use super::timeline::Clip;
+use crate::camera::Rigid;
 use crate::class::ObjectClass;
 use crate::{Error, Result};
 
@@ -57,6 +60,11 @@ pub struct Recipe {
     pub frame_indices: Vec<u32>,
     /// Distance of inserted objects' centres from the camera.
     pub distance_m: [f64; 2],
+    /// Changes to original movers, one a track at most.
+    pub edits: Vec<ActorEdit>,
+    /// Placed before anything is drawn, in the background's local frame.
+    pub given_objects: Vec<GivenObject>,
+    pub clip: Clip,
 }
 
 /// Objects a sample may hold.
@@ -105,6 +113,21 @@ impl Recipe {
             frame_indices: Vec::new(),
             // Nearer, a 0.05 m voxel is over 3 px; further, a car is under 20 px high.
             distance_m: [6.0, 40.0],
+            edits: Vec::new(),
+            given_objects: Vec::new(),
+            clip: Clip::default(),
+        }
+    }
+
+    /// Takes given trajectories from another frame, whose z axis is up as well, into this recipe's.
+    pub fn transform_trajectories(&mut self, target_from_source: &Rigid) {
+        for edit in &mut self.edits {
+            if let Edit::Follow(path) = &mut edit.edit {
+                *path = path.transformed(target_from_source);
+            }
+        }
+        for given in &mut self.given_objects {
+            given.trajectory = given.trajectory.transformed(target_from_source);
         }
     }
 
@@ -153,7 +176,8 @@ impl Recipe {
                 self.longer_side_px
             )));
         }
-        Ok(())
+        edit::validate(&self.edits, &self.given_objects)?;
+        self.clip.validate()
     }
 }
 

@@ -25,6 +25,8 @@ pub enum Rejection {
     SizeMismatch,
     /// All attempts of a slot failed: the sample has an object less.
     GaveUp,
+    /// A given object cannot stand where the recipe says and is left out, or an original cannot be moved there and stays.
+    GivenRefused,
 }
 
 impl Rejection {
@@ -48,6 +50,7 @@ impl Rejection {
             Self::HidesPlaced => "hides_placed",
             Self::SizeMismatch => "size_mismatch",
             Self::GaveUp => "gave_up",
+            Self::GivenRefused => "given_refused",
         }
     }
 }

@@ -62,6 +62,7 @@ fn placed(id: u16, origin: Origin, asset: Option<usize>, x: f64, y: f64) -> Plac
         asset,
         track_id: None,
         beyond_coverage: false,
+        velocity_mps: None,
     }
 }
 

@@ -47,7 +47,7 @@ pub struct Caster {
 /// shadows, and replayed movers where the sun is known, because training then left their shadows out.
 pub fn shadow_casters(composition: &Composition, sun_known: bool) -> Vec<Caster> {
     let casts = |origin: Origin| match origin {
-        Origin::Inserted | Origin::Replaced => composition.insert_shadows,
+        Origin::Inserted | Origin::Replaced | Origin::Moved => composition.insert_shadows,
         Origin::Replayed => sun_known,
         // A recorded mover's shadow lies in no field; its near part is in the recorded image around it.
         Origin::Recorded | Origin::Static => false,
@@ -57,7 +57,7 @@ pub fn shadow_casters(composition: &Composition, sun_known: bool) -> Vec<Caster>
         .filter(|o| casts(o.origin))
         .map(|o| Caster {
             instance_id: o.instance_id,
-            recorded: o.origin != Origin::Inserted,
+            recorded: !matches!(o.origin, Origin::Inserted | Origin::Moved),
         })
         .collect()
 }

@@ -5,6 +5,7 @@ use backlot_engine::scene::{MAX_SIDE_PX, PlacementPreset, Recipe};
 use backlot_proto::v1;
 use glam::DVec2;
 
+use super::convert_clip::{clip, edits, given_objects};
 use super::convert_drive_log::{FieldReader, Place, object_class_from_wire};
 use crate::domain::blob::Digest;
 use crate::domain::ids::AssetId;
@@ -53,6 +54,13 @@ pub(super) fn recipe_from_wire(wire: v1::Recipe, seed: u64) -> Result<RecipeRequ
         (0, 0) => (defaults.min_objects, defaults.max_objects),
         range => range,
     };
+    let edits = edits(&mut fields, wire.edits);
+    let given_objects = given_objects(&mut fields, wire.given_objects);
+    let clip = clip(&mut fields, wire.clip);
+    let mut number = |name: &str, value: Option<f64>, default: f64| {
+        let place = Place::new(format!("recipe.{name}"));
+        value.map_or(default, |value| fields.finite(&place, value))
+    };
     let slack = wire.coverage_slack_rad;
     let recipe = Recipe {
         min_objects,
@@ -68,6 +76,9 @@ pub(super) fn recipe_from_wire(wire: v1::Recipe, seed: u64) -> Result<RecipeRequ
         coverage_slack_rad: number("coverage_slack_rad", slack, defaults.coverage_slack_rad),
         camera_id: wire.camera_id,
         frame_indices: wire.frame_indices,
+        edits,
+        given_objects,
+        clip,
         ..defaults
     };
     if let Err(error) = recipe.validate() {

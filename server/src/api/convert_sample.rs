@@ -6,7 +6,7 @@ use backlot_proto::v1;
 
 use super::convert_drive_log::{object_class_to_wire, rigid_to_wire, vector_to_wire};
 use crate::domain::blob::Digest;
-use crate::samples::{DEPTH_UNIT_M, Sample, SampleBox};
+use crate::samples::{DEPTH_UNIT_M, Sample, SampleBox, SampleFrame};
 
 /// Where a sample comes from, besides what it knows itself.
 #[derive(Clone, Debug)]
@@ -40,25 +40,32 @@ pub(super) fn sample_to_wire(sample: Sample, index: u64, origins: &Origins) -> v
             objects,
             weakest_usage: weakest_usage.into(),
         }),
-        rejections: sample.rejections.clone().into_iter().collect(),
-        frames: vec![frame_to_wire(sample)],
+        rejections: sample.rejections.into_iter().collect(),
+        frames: sample
+            .frames
+            .into_iter()
+            .map(|frame| frame_to_wire(frame, &sample.world_from_local))
+            .collect(),
     }
 }
 
-fn frame_to_wire(sample: Sample) -> v1::SampleFrame {
+fn frame_to_wire(frame: SampleFrame, world_from_local: &Rigid) -> v1::SampleFrame {
+    let labels = frame.labels.iter();
     v1::SampleFrame {
-        boxes_2d: sample.labels.iter().map(label_to_wire).collect(),
-        camera_id: sample.camera_id,
-        timestamp_ns: sample.timestamp_ns,
-        frame_index: sample.frame_index,
-        view: Some(view_to_wire(&sample.camera, &sample.world_from_camera)),
-        world_from_ego: Some(rigid_to_wire(&sample.world_from_ego)),
-        image_png: sample.image_png,
-        depth_png: sample.depth_png,
+        boxes_2d: labels
+            .map(|label| label_to_wire(label, world_from_local))
+            .collect(),
+        camera_id: frame.camera_id,
+        timestamp_ns: frame.timestamp_ns,
+        frame_index: frame.frame_index,
+        view: Some(view_to_wire(&frame.camera, &frame.world_from_camera)),
+        world_from_ego: Some(rigid_to_wire(&frame.world_from_ego)),
+        image_png: frame.image_png,
+        depth_png: frame.depth_png,
         depth_unit_m: DEPTH_UNIT_M,
-        instance_png: sample.instance_png,
-        ignore_png: sample.ignore_png,
-        filled_pixels: sample.filled_px,
+        instance_png: frame.instance_png,
+        ignore_png: frame.ignore_png,
+        filled_pixels: frame.filled_px,
     }
 }
 
@@ -81,6 +88,7 @@ fn box_to_wire(sample_box: &SampleBox) -> v1::SampleBox {
         Origin::Replayed => v1::BoxOrigin::Replayed,
         Origin::Recorded => v1::BoxOrigin::Recorded,
         Origin::Static => v1::BoxOrigin::Static,
+        Origin::Moved => v1::BoxOrigin::Moved,
     };
     let object = sample_box.object.clone();
     let (asset, source_log, source_track_id) = object.map_or_else(Default::default, |object| {
@@ -106,7 +114,8 @@ fn box_to_wire(sample_box: &SampleBox) -> v1::SampleBox {
     }
 }
 
-fn label_to_wire(label: &FrameLabel) -> v1::SampleBox2D {
+fn label_to_wire(label: &FrameLabel, world_from_local: &Rigid) -> v1::SampleBox2D {
+    let world_from_object = *world_from_local * label.local_from_object;
     v1::SampleBox2D {
         instance_id: label.instance_id.into(),
         amodal: label.amodal.as_ref().map(pixels_to_wire),
@@ -117,6 +126,12 @@ fn label_to_wire(label: &FrameLabel) -> v1::SampleBox2D {
         occluder_instance_id: label.occluder.into(),
         camera_from_cuboid: Some(rigid_to_wire(&label.camera_from_object)),
         lidar_points: label.lidar_points,
+        ego_from_cuboid: Some(rigid_to_wire(&label.ego_from_object)),
+        world_from_cuboid: Some(rigid_to_wire(&world_from_object)),
+        velocity_mps: label
+            .velocity_mps
+            .map(|v| vector_to_wire(world_from_local.direction(v))),
+        mask_runs: label.mask_runs.clone(),
     }
 }
 

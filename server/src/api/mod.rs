@@ -17,6 +17,7 @@ pub mod convert_drive_log;
 mod drive_logs;
 
 mod convert_asset;
+mod convert_clip;
 
 mod assets;
 

@@ -13,5 +13,5 @@ mod scene_sample;
 pub use cache::AssetCache;
 pub use error::{Error, Result};
 pub use recipe_samples::{Planes, RecipeRequest, RecipeSamples};
-pub use sample::{DEPTH_UNIT_M, Sample, SampleBox, SampleObject};
+pub use sample::{DEPTH_UNIT_M, Sample, SampleBox, SampleFrame, SampleObject};
 pub use scene_sample::{SceneObjectRequest, SceneRequest, render_scene};

@@ -5,20 +5,25 @@ use std::sync::Arc;
 use backlot_engine::asset::AssetKind;
 use backlot_engine::scene::{
     Candidate, Composition, Draws, InstanceMask, Recipe, RecordedImage, RecordedTrack,
-    RenderOptions, Scene, Stage, compose, finish, label, match_tones, needs_recorded,
+    RenderOptions, Scene, Stage, Tone, compose_clip, finish, label, match_tones, needs_recorded,
 };
 use backlot_engine::{Asset, Error as EngineError};
 
 use super::cache::AssetCache;
 use super::error::{Error, Result};
 use super::library::{self, Objects};
-use super::sample::{Sample, SampleObject, boxes, encode_planes, render_class};
+use super::sample::{
+    FrameObjects, Sample, SampleFrame, SampleObject, boxes, encode_planes, render_class,
+};
 use crate::domain::blob::Digest;
 use crate::domain::ids::AssetId;
 use crate::ingest::{decode_instance_mask, decode_rgb};
 
-/// Draws of attempt numbers that no placement reaches.
+/// Draws of attempt numbers that no placement reaches; later frames of a clip count down from it.
 const GRAIN: u32 = u32::MAX;
+
+/// A sample is one message of at most 64 MiB; rendered frames take about four bytes a pixel, image, depth and instances together.
+const MAX_CLIP_PIXELS: usize = 12_000_000;
 
 /// Which planes are wanted besides the image.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -27,7 +32,7 @@ pub struct Planes {
     pub instance: bool,
 }
 
-/// What a client asks for.
+/// What a client asks for; trajectories are in the log's world frame.
 #[derive(Clone, Debug)]
 pub struct RecipeRequest {
     /// `None` means the present library.
@@ -56,7 +61,7 @@ impl RecipeSamples {
     ///
     /// # Errors
     /// Unknown snapshot, background or object; a background that is none; a recipe out of range.
-    pub fn prepare(cache: Arc<AssetCache>, request: RecipeRequest) -> Result<Self> {
+    pub fn prepare(cache: Arc<AssetCache>, mut request: RecipeRequest) -> Result<Self> {
         request.recipe.validate()?;
         let library = library::resolve(&cache, request.snapshot.as_ref())?;
         let background = library::load(&cache, &library, &request.background)?;
@@ -66,6 +71,8 @@ impl RecipeSamples {
             });
         }
         let objects = library::objects(&cache, &library, &request.objects)?;
+        let local_from_world = &background.header.local_from_world;
+        request.recipe.transform_trajectories(local_from_world);
         Ok(Self {
             cache,
             request,
@@ -89,13 +96,59 @@ impl RecipeSamples {
         let stage = Stage::from_header(&self.request.background.to_string(), header)?;
         let candidates = &self.objects.candidates;
         let seed = self.request.seed;
-        let composition = compose(&stage, candidates, &self.request.recipe, seed, index)?;
-        let assets = self.load_placed(&composition, cancelled)?;
+        let recipe = &self.request.recipe;
+        let compositions = compose_clip(&stage, candidates, recipe, seed, index)?;
+        check_pixels(&compositions)?;
+        let frames = compositions
+            .iter()
+            .enumerate()
+            .map(|(k, composition)| {
+                let grain = Draws::new(seed, index, GRAIN - k as u32);
+                self.frame(&stage, composition, grain, cancelled)
+            })
+            .collect::<Result<Vec<_>>>()?;
+        let shown = compositions.iter().zip(&frames);
+        let shown: Vec<_> = shown
+            .map(|(composition, (frame, tones))| FrameObjects {
+                objects: &composition.objects,
+                labels: &frame.labels,
+                tones,
+            })
+            .collect();
+        let world_from_local = header.local_from_world.inverse();
+        let boxes = boxes(&shown, &world_from_local, |i| object_of(&candidates[i]));
+        let placed = || {
+            let objects = compositions.iter().flat_map(|c| &c.objects);
+            objects.filter_map(|o| o.asset)
+        };
+        Ok(Sample {
+            boxes,
+            world_from_local,
+            insert_shadows: compositions[0].insert_shadows,
+            synthetic: header.synthetic || placed().any(|i| self.objects.objects[i].synthetic),
+            has_replay_only: placed().any(|i| !candidates[i].library),
+            render_class: render_class(self.cache.backend()),
+            rejections: compositions[0].rejections.clone(),
+            frames: frames.into_iter().map(|(frame, _)| frame).collect(),
+        })
+    }
+
+    /// Renders and labels one frame; returns the tones of its objects with it.
+    fn frame(
+        &self,
+        stage: &Stage<'_>,
+        composition: &Composition,
+        grain: Draws,
+        cancelled: &(dyn Fn() -> bool + Sync),
+    ) -> Result<(SampleFrame, Vec<(u16, Tone)>)> {
+        let header = &self.background.header;
+        let candidates = &self.objects.candidates;
+        let assets = self.load_placed(composition, cancelled)?;
         let field = |i: usize| assets[i].as_deref().map(|asset| &asset.field);
         let shape = |i: usize| field(i).map(Arc::as_ref);
         let backend = self.cache.backend();
-        let mut scene = Scene::of_composition(&self.background.field, &composition, field)?;
-        let recorded = self.recorded_image(&stage, &composition)?;
+        let mut scene = Scene::of_composition(&self.background.field, composition, field)?;
+        let recorded = self.recorded_image(stage, composition)?;
         let tracks = &stage.recording.tracks;
         let recorded = recorded.as_ref().map(|decoded| decoded.image(tracks));
         let matched = recorded
@@ -104,9 +157,9 @@ impl RecipeSamples {
         let tones = match matched {
             Some(image) => match_tones(
                 backend,
-                &stage,
+                stage,
                 &scene,
-                &composition,
+                composition,
                 candidates,
                 image,
                 shape,
@@ -117,21 +170,20 @@ impl RecipeSamples {
         scene.set_tones(&tones);
         let mut frame = backend.render(&scene, &RenderOptions::default(), cancelled)?;
         let finished = finish(
-            &stage,
+            stage,
             &scene,
-            &composition,
+            composition,
             recorded.as_ref(),
             shape,
-            Draws::new(seed, index, GRAIN),
+            grain,
             &mut frame,
         );
-        let labels = label(&composition, stage.region, &frame);
+        let labels = label(composition, stage.region, &frame);
         let [image_png, depth_png, instance_png, ignore_png] =
             encode_planes(&frame, finished.ignore.as_deref(), self.request.planes)?;
         let recorded = &stage.recording.frames[composition.frame];
         let world_from_local = header.local_from_world.inverse();
-        let placed = || composition.objects.iter().filter_map(|o| o.asset);
-        Ok(Sample {
+        let frame = SampleFrame {
             camera_id: recorded.camera_id.clone(),
             timestamp_ns: recorded.timestamp_ns,
             frame_index: recorded.frame_index,
@@ -143,20 +195,9 @@ impl RecipeSamples {
             instance_png,
             ignore_png,
             filled_px: finished.filled_px,
-            boxes: boxes(
-                &composition.objects,
-                &labels,
-                &world_from_local,
-                &tones,
-                |i| object_of(&candidates[i]),
-            ),
             labels,
-            insert_shadows: composition.insert_shadows,
-            synthetic: header.synthetic || placed().any(|i| self.objects.objects[i].synthetic),
-            has_replay_only: placed().any(|i| !candidates[i].library),
-            render_class: render_class(backend),
-            rejections: composition.rejections,
-        })
+        };
+        Ok((frame, tones))
     }
 
     /// The composition's frame as recorded; `None` if nothing of it is to be shown.
@@ -251,6 +292,19 @@ impl Decoded {
                 .map(|values| InstanceMask { values, tracks }),
         }
     }
+}
+
+fn check_pixels(frames: &[Composition]) -> Result<()> {
+    let pixels: usize = frames.iter().map(|f| f.camera.pixel_count()).sum();
+    if frames.len() == 1 || pixels <= MAX_CLIP_PIXELS {
+        return Ok(());
+    }
+    Err(Error::Invalid {
+        what: format!(
+            "a clip of {} frames has {pixels} pixels, at most {MAX_CLIP_PIXELS}; lower clip.frame_count or longer_side_px",
+            frames.len()
+        ),
+    })
 }
 
 fn object_of(candidate: &Candidate) -> SampleObject {

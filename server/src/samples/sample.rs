@@ -17,9 +17,28 @@ use super::recipe_samples::Planes;
 /// Metres of one step of the depth image: 4 mm up to 256 m.
 pub const DEPTH_UNIT_M: f64 = 1.0 / 256.0;
 
-/// One frame with everything that is known about it.
+/// The frames of a sample, in the order of time, and what they share.
 #[derive(Clone, Debug)]
 pub struct Sample {
+    pub frames: Vec<SampleFrame>,
+    /// The log's world from the local frame of the labels.
+    pub world_from_local: Rigid,
+    /// Every object that was placed, and the static ones that can be seen.
+    pub boxes: Vec<SampleBox>,
+    pub rejections: BTreeMap<String, u32>,
+    /// Shadows of inserted objects were rendered.
+    pub insert_shadows: bool,
+    /// The background or any object was trained on synthetic images.
+    pub synthetic: bool,
+    /// An object that is only good near its recorded poses is in the sample.
+    pub has_replay_only: bool,
+    /// See [`render_class`].
+    pub render_class: String,
+}
+
+/// One frame with everything that is known about it.
+#[derive(Clone, Debug)]
+pub struct SampleFrame {
     pub camera_id: String,
     pub timestamp_ns: i64,
     pub frame_index: u32,
@@ -34,19 +53,8 @@ pub struct Sample {
     pub ignore_png: Bytes,
     /// Pixels made up from their surroundings, all of them ignored.
     pub filled_px: u32,
-    /// Every object that was placed, and the static ones that can be seen.
-    pub boxes: Vec<SampleBox>,
     /// Views of the boxes that can be seen.
     pub labels: Vec<FrameLabel>,
-    pub rejections: BTreeMap<String, u32>,
-    /// Shadows of inserted objects were rendered.
-    pub insert_shadows: bool,
-    /// The background or any object was trained on synthetic images.
-    pub synthetic: bool,
-    /// An object that is only good near its recorded poses is in the sample.
-    pub has_replay_only: bool,
-    /// See [`render_class`].
-    pub render_class: String,
 }
 
 /// One object of a sample.
@@ -55,6 +63,7 @@ pub struct SampleBox {
     pub instance_id: u16,
     pub origin: Origin,
     pub class: ObjectClass,
+    /// At the first frame that holds it.
     pub world_from_object: Rigid,
     pub size_m: DVec3,
     pub track_id: String,
@@ -100,33 +109,45 @@ pub(super) fn encode_planes(
     ])
 }
 
-/// The boxes of placed objects; static ones only where a label says that they can be seen.
+/// One frame of a sample as its boxes are gathered: the objects in it, the views of those that can be seen, and their tones.
+pub(super) struct FrameObjects<'a> {
+    pub objects: &'a [PlacedObject],
+    pub labels: &'a [FrameLabel],
+    pub tones: &'a [(u16, Tone)],
+}
+
+/// The boxes of the objects in any frame, in the order in which they come; static ones only where a label says that they can be seen.
 pub(super) fn boxes(
-    objects: &[PlacedObject],
-    labels: &[FrameLabel],
+    frames: &[FrameObjects<'_>],
     world_from_local: &Rigid,
-    tones: &[(u16, Tone)],
     object_of: impl Fn(usize) -> SampleObject,
 ) -> Vec<SampleBox> {
-    let is_labelled = |id: u16| labels.iter().any(|label| label.instance_id == id);
-    objects
-        .iter()
-        .filter(|o| o.origin != Origin::Static || is_labelled(o.instance_id))
-        .map(|o| SampleBox {
-            instance_id: o.instance_id,
-            origin: o.origin,
-            class: o.class,
-            world_from_object: *world_from_local * o.local_from_object,
-            size_m: o.size_m,
-            track_id: o.track_id.clone().unwrap_or_default(),
-            beyond_coverage: o.beyond_coverage,
-            tone: tones
-                .iter()
-                .find(|(id, _)| *id == o.instance_id)
-                .map(|(_, tone)| *tone),
-            object: o.asset.map(&object_of),
-        })
-        .collect()
+    let mut boxes: Vec<SampleBox> = Vec::new();
+    for frame in frames {
+        let is_labelled = |id: u16| frame.labels.iter().any(|label| label.instance_id == id);
+        for o in frame.objects {
+            if o.origin == Origin::Static && !is_labelled(o.instance_id) {
+                continue;
+            }
+            if let Some(known) = boxes.iter_mut().find(|b| b.instance_id == o.instance_id) {
+                known.beyond_coverage |= o.beyond_coverage;
+                continue;
+            }
+            let tone = frame.tones.iter().find(|(id, _)| *id == o.instance_id);
+            boxes.push(SampleBox {
+                instance_id: o.instance_id,
+                origin: o.origin,
+                class: o.class,
+                world_from_object: *world_from_local * o.local_from_object,
+                size_m: o.size_m,
+                track_id: o.track_id.clone().unwrap_or_default(),
+                beyond_coverage: o.beyond_coverage,
+                tone: tone.map(|(_, tone)| *tone),
+                object: o.asset.map(&object_of),
+            });
+        }
+    }
+    boxes
 }
 
 /// Pixels are equal within one class: build, backend, and instruction set or GPU with its driver.

@@ -16,7 +16,9 @@ use super::cache::AssetCache;
 use super::error::{Error, Result};
 use super::library;
 use super::recipe_samples::Planes;
-use super::sample::{Sample, SampleObject, boxes, encode_planes, render_class};
+use super::sample::{
+    FrameObjects, Sample, SampleFrame, SampleObject, boxes, encode_planes, render_class,
+};
 use crate::domain::blob::Digest;
 use crate::domain::ids::AssetId;
 
@@ -113,6 +115,7 @@ fn composition(
                 asset: Some(i),
                 track_id: None,
                 beyond_coverage: false,
+                velocity_mps: None,
             })
             .collect(),
         left_out: Vec::new(),
@@ -163,26 +166,33 @@ fn finish(
         encode_planes(&frame, None, request.planes)?;
     let world_from_local = local_from_world.inverse();
     let used = || assets.iter().map(Arc::as_ref).chain(background);
+    let shown = FrameObjects {
+        objects: &composition.objects,
+        labels: &labels,
+        tones: &[],
+    };
+    let boxes = boxes(&[shown], &world_from_local, |i| SampleObject {
+        asset: request.objects[i].asset.to_string(),
+        source_log: assets[i].header.source_log.clone(),
+        source_track_id: assets[i].header.source_track_id.clone(),
+    });
     Ok(Sample {
-        camera_id: String::new(),
-        timestamp_ns: 0,
-        frame_index: 0,
-        camera: composition.camera,
-        world_from_camera: request.world_from_camera,
-        world_from_ego: world_from_local * composition.local_from_ego,
-        image_png,
-        depth_png,
-        instance_png,
-        ignore_png,
-        filled_px: 0,
-        boxes: boxes(&composition.objects, &labels, &world_from_local, &[], |i| {
-            SampleObject {
-                asset: request.objects[i].asset.to_string(),
-                source_log: assets[i].header.source_log.clone(),
-                source_track_id: assets[i].header.source_track_id.clone(),
-            }
-        }),
-        labels,
+        frames: vec![SampleFrame {
+            camera_id: String::new(),
+            timestamp_ns: 0,
+            frame_index: 0,
+            camera: composition.camera,
+            world_from_camera: request.world_from_camera,
+            world_from_ego: world_from_local * composition.local_from_ego,
+            image_png,
+            depth_png,
+            instance_png,
+            ignore_png,
+            filled_px: 0,
+            labels,
+        }],
+        world_from_local,
+        boxes,
         insert_shadows: request.insert_shadows,
         rejections: Default::default(),
         synthetic: used().any(|asset| asset.header.synthetic),

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 # First: it must set gRPC's fork support before gRPC is imported.
 from backlot import fork as _fork
+from backlot.actors import Clip, FollowActor, GivenObject, RemoveActor, ShiftActor, Waypoint
 from backlot.client import Client
 from backlot.dataset import ShardedSamples
 from backlot.errors import (
@@ -45,13 +46,16 @@ __all__ = [
     "Box3D",
     "CancelledError",
     "Client",
+    "Clip",
     "ContractError",
     "DataLossError",
     "DeadlineExceededError",
     "DriveLog",
     "FailedPreconditionError",
+    "FollowActor",
     "ForkError",
     "Frame",
+    "GivenObject",
     "InternalError",
     "InvalidArgumentError",
     "Job",
@@ -61,14 +65,17 @@ __all__ = [
     "Provenance",
     "Quality",
     "Recipe",
+    "RemoveActor",
     "ResourceExhaustedError",
     "Retry",
     "Sample",
     "SampleStream",
     "ShardedSamples",
+    "ShiftActor",
     "Tls",
     "UnavailableError",
     "UnimplementedError",
+    "Waypoint",
     "replace_in_batch",
 ]
 

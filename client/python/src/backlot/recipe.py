@@ -6,6 +6,7 @@ import dataclasses
 import hashlib
 import json
 
+from backlot.actors import ActorEdit, Clip, GivenObject
 from backlot.v1 import common_pb2, samples_pb2
 
 
@@ -30,7 +31,10 @@ class Recipe:
         coverage_slack_rad: radians beyond the observed views; None means the server's default.
         camera_id: camera to render; empty means the background's first.
         omit_depth, omit_instance: leaves the image out of the reply.
-        frame_indices: recorded frames whose ego pose may be used; empty means all.
+        frame_indices: recorded frames whose ego pose may be used, of clips as their first; empty means all.
+        edits: what becomes of original movers; one that cannot go where it is sent stays and is counted as "given_refused".
+        given_objects: objects at given places, besides those that are drawn; one that cannot stand there is left out and counted likewise.
+        clip: several frames a sample; None means one.
     """
 
     background: str
@@ -53,6 +57,9 @@ class Recipe:
     omit_depth: bool = False
     omit_instance: bool = False
     frame_indices: tuple[int, ...] = ()
+    edits: tuple[ActorEdit, ...] = ()
+    given_objects: tuple[GivenObject, ...] = ()
+    clip: Clip | None = None
 
     def pinned(self, library_snapshot: str) -> Recipe:
         """The same recipe over a fixed snapshot, so that a growing library does not change its samples."""
@@ -60,7 +67,10 @@ class Recipe:
 
     def to_proto(self) -> samples_pb2.Recipe:
         """The wire form; ValueError names an unknown preset or class."""
-        fields = dataclasses.asdict(self)
+        fields = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
+        fields["edits"] = [edit.to_proto() for edit in self.edits]
+        fields["given_objects"] = [given.to_proto() for given in self.given_objects]
+        fields["clip"] = None if self.clip is None else self.clip.to_proto()
         fields["preset"] = samples_pb2.PlacementPreset.Value(f"PLACEMENT_PRESET_{self.preset}")
         fields["classes"] = [common_pb2.ObjectClass.Value(f"OBJECT_CLASS_{name}") for name in self.classes]
         return samples_pb2.Recipe(**fields)

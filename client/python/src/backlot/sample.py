@@ -16,15 +16,16 @@ from backlot.v1 import common_pb2, samples_pb2
 
 @dataclasses.dataclass(frozen=True)
 class Box3D:
-    """One object of a sample, in the log's world frame (z up, metres).
+    """One object of a sample, in the log's world frame (z up, metres), where the first frame that holds it shows it.
 
     Attributes:
         instance_id: 1.. within the sample; the value in `Frame.instance`.
-        origin: "INSERTED", "REPLACED", "REPLAYED" (an original mover) or "STATIC" (part of the background).
+        origin: "INSERTED", "REPLACED", "MOVED" (an original mover elsewhere), "REPLAYED" or "RECORDED" (one where it was) or "STATIC" (part
+            of the background).
         object_class: e.g. "CAR".
         world_from_cuboid: 4 x 4 float64; the cuboid's origin is its centre.
         size_m: float64 (length, width, height).
-        asset: the asset rendered; empty for STATIC.
+        asset: the asset rendered; empty for STATIC and RECORDED.
         track_id: the log's track of an original, or the one whose place was taken; empty for INSERTED.
         source_log, source_track_id: what the asset was trained from.
         beyond_coverage: the pose lies outside the asset's observed views.
@@ -62,6 +63,9 @@ class Box2D:
         camera_from_cuboid: 4 x 4 float64.
         in_camera: float64 (x, y, z, length, width, height, rotation_y), see `geometry.box_in_camera`.
         lidar_points: simulated returns of a 64-beam scanner at the ego origin.
+        ego_from_cuboid, world_from_cuboid: 4 x 4 float64, at this frame.
+        velocity_mps: float64 (x, y, z) in the world frame; None where the log does not tell.
+        mask_runs: uint32 lengths of alternating runs outside and inside the mask, column by column, as in COCO; see `mask`.
     """
 
     instance_id: int
@@ -74,6 +78,17 @@ class Box2D:
     camera_from_cuboid: np.ndarray
     in_camera: np.ndarray
     lidar_points: int
+    ego_from_cuboid: np.ndarray
+    world_from_cuboid: np.ndarray
+    velocity_mps: np.ndarray | None
+    mask_runs: np.ndarray
+
+    def mask(self, height: int, width: int) -> np.ndarray:
+        """H x W bool, True where the image shows this object; ValueError for a frame of another size."""
+        if len(self.mask_runs) == 0:
+            return np.zeros((height, width), bool)
+        inside = np.arange(len(self.mask_runs)) % 2 == 1
+        return np.repeat(inside, self.mask_runs).reshape(width, height).T
 
 
 @dataclasses.dataclass(frozen=True)
@@ -88,7 +103,7 @@ class Frame:
         depth_z_m: H x W float32 camera-z depth in metres, 0 where there is no surface; None if omitted.
         instance: H x W uint16, 0 for background, otherwise `Box3D.instance_id`; None if omitted.
         ignore_mask: H x W bool, True where pixels carry nothing to train on.
-        boxes_2d: one for each box of the sample that concerns this frame.
+        boxes_2d: one for each object of which this frame shows a pixel.
         intrinsics: 3 x 3 float64 in pixels; the centre of the top left pixel is (0.5, 0.5).
         world_from_camera, world_from_ego: 4 x 4 float64.
     """
@@ -132,7 +147,7 @@ class Sample:
 
     @property
     def frame(self) -> Frame:
-        """The only frame; ValueError if the sample has several."""
+        """The only frame; ValueError if the sample is a clip."""
         (only,) = self.frames
         return only
 
@@ -182,6 +197,7 @@ def _frame(proto: samples_pb2.SampleFrame, boxes: dict[int, Box3D]) -> Frame:
     depth = _image(proto.depth_png, shape, np.uint16) if proto.depth_png else None
     ignore = _image(proto.ignore_png, shape, np.uint8) > 127 if proto.ignore_png else np.zeros(shape, bool)
     world_from_camera = geometry.matrix(view.world_from_camera)
+    world_from_ego = geometry.matrix(proto.world_from_ego)
     return Frame(
         camera_id=proto.camera_id,
         timestamp_ns=proto.timestamp_ns,
@@ -190,7 +206,7 @@ def _frame(proto: samples_pb2.SampleFrame, boxes: dict[int, Box3D]) -> Frame:
         depth_z_m=None if depth is None else depth * np.float32(proto.depth_unit_m),
         instance=_image(proto.instance_png, shape, np.uint16) if proto.instance_png else None,
         ignore_mask=ignore,
-        boxes_2d=tuple(_box_2d(box, boxes, world_from_camera) for box in proto.boxes_2d),
+        boxes_2d=tuple(_box_2d(box, boxes, world_from_camera, world_from_ego, shape) for box in proto.boxes_2d),
         intrinsics=np.array(
             [
                 [view.focal_x_px, 0, view.principal_x_px],
@@ -199,18 +215,33 @@ def _frame(proto: samples_pb2.SampleFrame, boxes: dict[int, Box3D]) -> Frame:
             ]
         ),
         world_from_camera=world_from_camera,
-        world_from_ego=geometry.matrix(proto.world_from_ego),
+        world_from_ego=world_from_ego,
     )
 
 
-def _box_2d(proto: samples_pb2.SampleBox2D, boxes: dict[int, Box3D], world_from_camera: np.ndarray) -> Box2D:
+def _box_2d(
+    proto: samples_pb2.SampleBox2D,
+    boxes: dict[int, Box3D],
+    world_from_camera: np.ndarray,
+    world_from_ego: np.ndarray,
+    shape: tuple[int, int],
+) -> Box2D:
     box = boxes.get(proto.instance_id)
     if box is None:
         raise ContractError(f"a 2D box names instance {proto.instance_id}, which has no 3D box")
+    world_from_cuboid = box.world_from_cuboid
+    if proto.HasField("world_from_cuboid"):
+        world_from_cuboid = geometry.matrix(proto.world_from_cuboid)
+    camera_from_cuboid = geometry.inverse(world_from_camera) @ world_from_cuboid
     if proto.HasField("camera_from_cuboid"):
         camera_from_cuboid = geometry.matrix(proto.camera_from_cuboid)
-    else:
-        camera_from_cuboid = geometry.inverse(world_from_camera) @ box.world_from_cuboid
+    ego_from_cuboid = geometry.inverse(world_from_ego) @ world_from_cuboid
+    if proto.HasField("ego_from_cuboid"):
+        ego_from_cuboid = geometry.matrix(proto.ego_from_cuboid)
+    runs = np.array(proto.mask_runs, np.uint32)
+    if len(runs) and runs.sum() != shape[0] * shape[1]:
+        raise ContractError(f"the mask of instance {proto.instance_id} has {runs.sum()} pixels, not those of {shape}")
+    velocity = proto.velocity_mps
     return Box2D(
         instance_id=proto.instance_id,
         amodal=_corners(proto.amodal) if proto.HasField("amodal") else None,
@@ -222,6 +253,10 @@ def _box_2d(proto: samples_pb2.SampleBox2D, boxes: dict[int, Box3D], world_from_
         camera_from_cuboid=camera_from_cuboid,
         in_camera=geometry.box_in_camera(camera_from_cuboid, box.size_m),
         lidar_points=proto.lidar_points,
+        ego_from_cuboid=ego_from_cuboid,
+        world_from_cuboid=world_from_cuboid,
+        velocity_mps=np.array([velocity.x, velocity.y, velocity.z]) if proto.HasField("velocity_mps") else None,
+        mask_runs=runs,
     )
 
 

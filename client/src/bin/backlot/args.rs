@@ -218,8 +218,15 @@ pub(crate) struct AugmentOptions {
     pub start: u64,
     #[arg(long, value_enum, default_value_t = Preset::Default)]
     pub preset: Preset,
-    #[arg(long, value_enum, value_delimiter = ',', default_value = "kitti")]
-    pub label_format: Vec<LabelFormat>,
+    /// Forms of the labels, several separated by commas.
+    #[arg(
+        long,
+        visible_alias = "label-format",
+        value_enum,
+        value_delimiter = ',',
+        default_value = "kitti"
+    )]
+    pub labels: Vec<LabelFormat>,
     /// Library snapshot to draw from; by default the present library.
     #[arg(long, value_name = "SNAPSHOT")]
     pub snapshot: Option<String>,
@@ -237,6 +244,13 @@ pub(crate) struct AugmentOptions {
     /// Leave the original moving objects out.
     #[arg(long)]
     pub drop_originals: bool,
+    #[command(flatten)]
+    pub actors: ActorOptions,
+    #[command(flatten)]
+    pub clip: ClipOptions,
+    /// Recorded frames to draw from, by their index in the log; by default all.
+    #[arg(long, value_delimiter = ',', value_name = "INDEX")]
+    pub frame_indices: Vec<u32>,
     /// Do not cast shadows from inserted objects.
     #[arg(long)]
     pub no_shadows: bool,
@@ -255,6 +269,107 @@ pub(crate) struct AugmentOptions {
     /// Write no instance images.
     #[arg(long)]
     pub no_instance: bool,
+}
+
+/// Changes to the log's moving objects, and objects at given places.
+#[derive(Clone, Debug, Default, Args)]
+pub(crate) struct ActorOptions {
+    /// Track of an original moving object to leave out.
+    #[arg(long, value_delimiter = ',', value_name = "TRACK")]
+    pub remove: Vec<String>,
+    /// Original moving object to show beside its path: metres forward and left of it, and degrees turned left.
+    #[arg(long = "move", value_parser = parse_shift, value_name = "TRACK:X,Y[,DEGREES]")]
+    pub shift: Vec<ShiftedTrack>,
+    /// Object that stands or drives where it is said, in the log's world: an asset, or `track:TRACK` for an original moving object. Each
+    /// waypoint is seconds after the first frame, x, y in metres and heading in degrees.
+    #[arg(long, value_parser = parse_path, value_name = "OBJECT:S,X,Y,DEGREES[;...]")]
+    pub path: Vec<GivenPath>,
+}
+
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct ShiftedTrack {
+    pub track: String,
+    pub forward_m: f64,
+    pub left_m: f64,
+    pub turn_deg: f64,
+}
+
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct GivenPath {
+    pub object: GivenObjectName,
+    /// Seconds, x, y, degrees.
+    pub waypoints: Vec<[f64; 4]>,
+}
+
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) enum GivenObjectName {
+    Track(String),
+    Asset(String),
+}
+
+/// Samples of several frames.
+#[derive(Clone, Debug, Args)]
+pub(crate) struct ClipOptions {
+    /// Frames a sample; more than one makes clips.
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    pub clip_frames: u32,
+    /// Recorded frames from one frame of a clip to the next.
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    pub clip_stride: u32,
+    /// Speed of inserted objects in m/s, or a range to draw from.
+    #[arg(long, value_parser = parse_range, value_name = "LOW[..HIGH]", default_value = "0")]
+    pub speed: [f64; 2],
+}
+
+fn parse_shift(text: &str) -> Result<ShiftedTrack, String> {
+    let (track, numbers) = text
+        .rsplit_once(':')
+        .ok_or("expected TRACK:X,Y[,DEGREES]")?;
+    let (forward_m, left_m, turn_deg) = match parse_numbers(numbers)?[..] {
+        [x, y] => (x, y, 0.0),
+        [x, y, turn] => (x, y, turn),
+        _ => return Err("expected X,Y or X,Y,DEGREES after the track".to_owned()),
+    };
+    Ok(ShiftedTrack {
+        track: track.to_owned(),
+        forward_m,
+        left_m,
+        turn_deg,
+    })
+}
+
+fn parse_path(text: &str) -> Result<GivenPath, String> {
+    let (object, points) = text
+        .rsplit_once(':')
+        .ok_or("expected OBJECT:S,X,Y,DEGREES[;...]")?;
+    let object = match object.strip_prefix("track:") {
+        Some(track) => GivenObjectName::Track(track.to_owned()),
+        None => GivenObjectName::Asset(object.to_owned()),
+    };
+    let waypoints = points.split(';').map(|point| {
+        let numbers = parse_numbers(point)?;
+        let count = numbers.len();
+        <[f64; 4]>::try_from(numbers)
+            .map_err(|_| format!("waypoint \"{point}\" has {count} numbers, not S,X,Y,DEGREES"))
+    });
+    Ok(GivenPath {
+        object,
+        waypoints: waypoints.collect::<Result<_, _>>()?,
+    })
+}
+
+fn parse_range(text: &str) -> Result<[f64; 2], String> {
+    let (low, high) = text.split_once("..").unwrap_or((text, text));
+    Ok([parse_number(low)?, parse_number(high)?])
+}
+
+fn parse_numbers(text: &str) -> Result<Vec<f64>, String> {
+    text.split(',').map(parse_number).collect()
+}
+
+fn parse_number(text: &str) -> Result<f64, String> {
+    let number = text.trim().parse::<f64>().ok().filter(|n| n.is_finite());
+    number.ok_or_else(|| format!("\"{text}\" is not a number"))
 }
 
 #[derive(Debug, Args)]
@@ -293,6 +408,36 @@ pub(crate) enum Preset {
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub(crate) enum LabelFormat {
+    /// Label and calibration files as of KITTI objects; clips also as of KITTI tracking.
     Kitti,
+    /// Everything a sample says, a file an image.
     Json,
+    /// coco.json with boxes and masks.
+    Coco,
+    /// Tables of the nuScenes schema in v1.0-backlot/.
+    Nuscenes,
+    /// Parquet components of the Waymo Open Dataset 2 schema in waymo/.
+    Waymo,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn shifts_paths_and_ranges_are_read_and_wrong_ones_named() {
+        let shift = parse_shift("car:7:2,-1.5,90").unwrap();
+        assert_eq!((shift.track.as_str(), shift.turn_deg), ("car:7", 90.0));
+        assert!(parse_shift("7:2").unwrap_err().contains("X,Y"));
+        assert!(parse_shift("7:2,x").unwrap_err().contains("\"x\""));
+        let path = parse_path("track:lead:0,1,2,3;1,2,3,4").unwrap();
+        assert_eq!(path.object, GivenObjectName::Track("lead".into()));
+        assert_eq!(path.waypoints.len(), 2);
+        let path = parse_path("assets/car:0,1,2,3").unwrap();
+        assert_eq!(path.object, GivenObjectName::Asset("assets/car".into()));
+        assert!(parse_path("a:0,1").unwrap_err().contains("2 numbers"));
+        assert_eq!(parse_range("3..9").unwrap(), [3.0, 9.0]);
+        assert_eq!(parse_range("5").unwrap(), [5.0, 5.0]);
+        assert!(parse_range("fast").is_err());
+    }
 }

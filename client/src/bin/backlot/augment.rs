@@ -5,17 +5,20 @@ use backlot_client::sample_files::{LabelFormat, SampleFiles};
 use backlot_client::{Connection, names};
 use backlot_proto::v1;
 
-use crate::args::{self, AugmentOptions, Preset};
+use crate::args::{self, ActorOptions, AugmentOptions, GivenObjectName, Preset};
 use crate::progress::Progress;
 
 pub(crate) async fn run(connection: &Connection, options: &AugmentOptions) -> anyhow::Result<()> {
     ensure!(options.count > 0, "--count must be at least 1");
     let formats: Vec<_> = options
-        .label_format
+        .labels
         .iter()
         .map(|format| match format {
             args::LabelFormat::Kitti => LabelFormat::Kitti,
             args::LabelFormat::Json => LabelFormat::Json,
+            args::LabelFormat::Coco => LabelFormat::Coco,
+            args::LabelFormat::Nuscenes => LabelFormat::Nuscenes,
+            args::LabelFormat::Waymo => LabelFormat::Waymo,
         })
         .collect();
     let request = v1::StreamSamplesRequest {
@@ -100,6 +103,72 @@ fn recipe(options: &AugmentOptions) -> anyhow::Result<v1::Recipe> {
         camera_id: options.camera.clone(),
         omit_depth: options.no_depth,
         omit_instance: options.no_instance,
+        frame_indices: options.frame_indices.clone(),
+        edits: edits(&options.actors),
+        given_objects: given_objects(&options.actors)?,
+        clip: Some(v1::Clip {
+            frame_count: options.clip.clip_frames,
+            stride: options.clip.clip_stride,
+            min_speed_mps: options.clip.speed[0],
+            max_speed_mps: options.clip.speed[1],
+        }),
         ..Default::default()
     })
+}
+
+fn edits(options: &ActorOptions) -> Vec<v1::ActorEdit> {
+    use v1::actor_edit::Edit;
+    let edit = |track_id: &String, edit| v1::ActorEdit {
+        track_id: track_id.clone(),
+        edit: Some(edit),
+    };
+    let removed = options.remove.iter();
+    let removed = removed.map(|track| edit(track, Edit::Remove(v1::RemoveActor {})));
+    let shifted = options.shift.iter().map(|shift| {
+        let wire = v1::ShiftActor {
+            x_m: shift.forward_m,
+            y_m: shift.left_m,
+            heading_rad: shift.turn_deg.to_radians(),
+        };
+        edit(&shift.track, Edit::Shift(wire))
+    });
+    let following = options.path.iter().filter_map(|path| match &path.object {
+        GivenObjectName::Track(track) => {
+            Some(edit(track, Edit::Follow(trajectory(&path.waypoints))))
+        }
+        GivenObjectName::Asset(_) => None,
+    });
+    removed.chain(shifted).chain(following).collect()
+}
+
+fn given_objects(options: &ActorOptions) -> anyhow::Result<Vec<v1::GivenObject>> {
+    let given = options.path.iter().filter_map(|path| match &path.object {
+        GivenObjectName::Asset(name) => Some((name, &path.waypoints)),
+        GivenObjectName::Track(_) => None,
+    });
+    given
+        .map(|(name, waypoints)| {
+            Ok(v1::GivenObject {
+                asset: names::asset(name)?,
+                trajectory: Some(trajectory(waypoints)),
+            })
+        })
+        .collect()
+}
+
+fn trajectory(waypoints: &[[f64; 4]]) -> v1::Trajectory {
+    let waypoints = waypoints
+        .iter()
+        .map(|[time_s, x, y, degrees]| v1::Waypoint {
+            time_s: *time_s,
+            position_m: Some(v1::Vector3 {
+                x: *x,
+                y: *y,
+                z: 0.0,
+            }),
+            heading_rad: degrees.to_radians(),
+        });
+    v1::Trajectory {
+        waypoints: waypoints.collect(),
+    }
 }

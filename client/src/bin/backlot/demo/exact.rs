@@ -107,9 +107,9 @@ fn scene(
     }
     let with_shadows = sample.provenance.as_ref().is_some_and(|p| p.insert_shadows);
     for placed in boxes() {
-        use v1::BoxOrigin::{Inserted, Recorded, Replaced, Replayed};
+        use v1::BoxOrigin::{Inserted, Moved, Recorded, Replaced, Replayed};
         let origin = placed.origin();
-        if !matches!(origin, Inserted | Recorded | Replaced | Replayed) {
+        if !matches!(origin, Inserted | Moved | Recorded | Replaced | Replayed) {
             continue;
         }
         let is_original = matches!(origin, Recorded | Replayed);
