@@ -220,3 +220,160 @@ fn pretty(value: &impl Serialize) -> String {
     text.push('\n');
     text
 }
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeSet;
+
+    use serde_json::Value;
+
+    use super::*;
+    use crate::geometry::{rigid_to_wire, vector_to_wire};
+    use backlot_engine::camera::Rigid;
+    use glam::DVec3;
+
+    fn png(rgb: bool) -> bytes::Bytes {
+        let mut out = std::io::Cursor::new(Vec::new());
+        let format = image::ImageFormat::Png;
+        let written = match rgb {
+            true => image::RgbImage::new(4, 2).write_to(&mut out, format),
+            false => image::GrayImage::new(4, 2).write_to(&mut out, format),
+        };
+        written.expect("eight pixels encode");
+        out.into_inner().into()
+    }
+
+    /// A clip of two frames: a car drives through both, another is in the second alone.
+    fn clip() -> v1::Sample {
+        let at = |x: f64| rigid_to_wire(&Rigid::from_heading(0.0, DVec3::new(x, 0.0, 0.8)));
+        let view = |instance_id: u32, x: f64| v1::SampleBox2D {
+            instance_id,
+            visible: Some(v1::Box2D {
+                x_min: 1.0,
+                y_min: 0.0,
+                x_max: 2.0,
+                y_max: 2.0,
+            }),
+            visible_pixels: 2,
+            visible_fraction: 0.9,
+            world_from_cuboid: Some(at(x)),
+            ego_from_cuboid: Some(at(x)),
+            velocity_mps: Some(vector_to_wire(DVec3::X * 5.0)),
+            mask_runs: vec![2, 2, 4],
+            ..Default::default()
+        };
+        let frame = |k: u32, boxes_2d| v1::SampleFrame {
+            camera_id: "front".into(),
+            timestamp_ns: 1_000_000_000 + i64::from(k) * 100_000_000,
+            frame_index: k,
+            view: Some(v1::CameraView {
+                width: 4,
+                height: 2,
+                focal_x_px: 3.0,
+                focal_y_px: 3.0,
+                principal_x_px: 2.0,
+                principal_y_px: 1.0,
+                world_from_camera: Some(at(0.0)),
+            }),
+            image_png: png(true),
+            ignore_png: png(false),
+            boxes_2d,
+            ..Default::default()
+        };
+        let car = |instance_id| v1::SampleBox {
+            instance_id,
+            object_class: v1::ObjectClass::Car.into(),
+            cuboid: Some(v1::Cuboid {
+                world_from_cuboid: Some(at(9.0)),
+                size_m: Some(vector_to_wire(DVec3::new(4.0, 2.0, 1.5))),
+            }),
+            ..Default::default()
+        };
+        v1::Sample {
+            index: 3,
+            frames: vec![
+                frame(0, vec![view(1, 9.0)]),
+                frame(1, vec![view(1, 9.5), view(2, 20.0)]),
+            ],
+            boxes_3d: vec![car(1), car(2)],
+            provenance: Some(v1::SampleProvenance {
+                background: "assets/street".into(),
+                seed: 7,
+                ..Default::default()
+            }),
+            ..Default::default()
+        }
+    }
+
+    fn write(folder: &Path, sample: &v1::Sample) {
+        use LabelFormat::{Coco, Json, Kitti, Nuscenes, Waymo};
+        let mut files = SampleFiles::new(folder, &[Kitti, Json, Coco, Nuscenes, Waymo]);
+        files.write(sample).unwrap();
+        let provenance = sample.provenance.clone().unwrap();
+        files.write_index(&provenance).unwrap();
+    }
+
+    fn table(folder: &Path, name: &str) -> Vec<Value> {
+        let text = fs::read_to_string(folder.join(NUSCENES_VERSION).join(name)).unwrap();
+        serde_json::from_str(&text).unwrap()
+    }
+
+    /// Tokens that name no record, whatever their column.
+    fn dangling(folder: &Path) -> Vec<String> {
+        let names: Vec<String> = fs::read_dir(folder.join(NUSCENES_VERSION))
+            .unwrap()
+            .map(|file| file.unwrap().file_name().into_string().unwrap())
+            .collect();
+        let rows: Vec<Value> = names.iter().flat_map(|name| table(folder, name)).collect();
+        let text = |v: &Value| v.as_str().unwrap_or_default().to_owned();
+        let known: BTreeSet<String> = rows.iter().map(|row| text(&row["token"])).collect();
+        assert_eq!(known.len(), rows.len(), "tokens are unique");
+        let mut found = Vec::new();
+        for row in &rows {
+            for (column, value) in row.as_object().unwrap() {
+                let links = ["prev", "next"].contains(&column.as_str());
+                if (column.ends_with("_token") || links) && !value.as_str().unwrap().is_empty() {
+                    found.extend(Some(text(value)).filter(|token| !known.contains(token)));
+                }
+            }
+        }
+        found
+    }
+
+    #[test]
+    fn every_form_of_a_clip_is_written_and_its_records_are_linked() {
+        let folder = tempfile::tempdir().unwrap();
+        write(folder.path(), &clip());
+        for file in [
+            "index.json",
+            "coco.json",
+            "labels/000003_0.txt",
+            "labels/000003_1.json",
+            "labels_tracking/000003.txt",
+            "maps/none.png",
+            "waymo/lidar_box/assets_street_7_3.parquet",
+        ] {
+            assert!(folder.path().join(file).is_file(), "{file}");
+        }
+        assert_eq!(dangling(folder.path()), Vec::<String>::new());
+        let annotations = table(folder.path(), "sample_annotation.json");
+        assert_eq!(annotations.len(), 3);
+        assert_eq!(annotations[0]["next"], annotations[1]["token"]);
+        assert_eq!(annotations[2]["prev"], "");
+        let tracking = folder.path().join("labels_tracking/000003.txt");
+        let tracking = fs::read_to_string(tracking).unwrap();
+        let starts: Vec<&str> = tracking.lines().map(|line| &line[..3]).collect();
+        assert_eq!(starts, ["0 1", "1 1", "1 2"]);
+    }
+
+    #[test]
+    fn a_lost_record_is_seen() {
+        let folder = tempfile::tempdir().unwrap();
+        write(folder.path(), &clip());
+        let path = folder.path().join(NUSCENES_VERSION).join("ego_pose.json");
+        let mut rows = table(folder.path(), "ego_pose.json");
+        rows.remove(0);
+        fs::write(&path, serde_json::to_string(&rows).unwrap()).unwrap();
+        assert_eq!(dangling(folder.path()).len(), 1);
+    }
+}

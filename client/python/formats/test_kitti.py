@@ -113,7 +113,9 @@ def test_tracking_labels_hold_the_clip():
     for truth in truths(SETS / "clips"):
         by_sample[truth.record["index"]].append(truth)
     for index, clip in by_sample.items():
-        rows = [line.split(" ") for line in (SETS / "clips" / f"labels_tracking/{index:06}.txt").read_text().splitlines()]
+        rows = [
+            line.split(" ") for line in (SETS / "clips" / f"labels_tracking/{index:06}.txt").read_text().splitlines()
+        ]
         assert all(len(row) == 17 and row[3] in "012" and row[4] in "0123" for row in rows)
         read_back = {(int(row[0]), int(row[1])): row for row in rows}
         assert len(read_back) == len(rows)

@@ -103,7 +103,10 @@ def rectangle_faults(folder, frames):
         for row in rows:
             number = row.key.camera_object_id if name == "camera_box" else row.key.laser_object_id
             own = frames[key(row)].shown[int(number)]
-            centre, half = np.array([row.box.center.x, row.box.center.y]), np.array([row.box.size.x, row.box.size.y]) / 2
+            centre, half = (
+                np.array([row.box.center.x, row.box.center.y]),
+                np.array([row.box.size.x, row.box.size.y]) / 2,
+            )
             if np.abs([*(centre - half), *(centre + half)] - np.array(own.record[field])).max() > 1e-6:
                 found.append(f"{key(row)}: {name} of {own.id}")
     return found

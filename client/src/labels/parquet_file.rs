@@ -142,3 +142,79 @@ fn put<T: DataType>(
     column.typed::<T>().write_batch(values, defined, repeated)?;
     column.close()
 }
+
+#[cfg(test)]
+mod tests {
+    use parquet::file::reader::{FileReader, SerializedFileReader};
+    use parquet::record::RowAccessor;
+
+    use super::*;
+
+    #[test]
+    fn every_kind_of_column_reads_back() {
+        let matrix: [f64; 16] = std::array::from_fn(|i| i as f64);
+        let other: [f64; 16] = std::array::from_fn(|i| -(i as f64));
+        let columns = [
+            ("key.camera_name", Values::Int8(vec![1, -2])),
+            ("[A].none", Values::NoInt8(2)),
+            ("[A].width", Values::Int32(vec![1242, 375])),
+            (
+                "key.frame_timestamp_micros",
+                Values::Int64(vec![1 << 40, 7]),
+            ),
+            ("[A].speed.x", Values::Float(vec![None, Some(0.5)])),
+            ("[A].box.center.x", Values::Double(vec![Some(1.25), None])),
+            ("key.id", Values::Text(vec!["a".into(), "bc".into()])),
+            (
+                "[A].image",
+                Values::Bytes(vec![vec![1, 0, 2].into(), vec![].into()]),
+            ),
+            ("[A].pose.transform", Values::Matrix(vec![matrix, other])),
+        ];
+        let columns = columns.map(|(name, values)| (name.to_owned(), values));
+        let file = encode(&columns).unwrap();
+        let reader = SerializedFileReader::new(bytes::Bytes::from(file)).unwrap();
+        let rows: Vec<_> = reader
+            .get_row_iter(None)
+            .unwrap()
+            .map(Result::unwrap)
+            .collect();
+        assert_eq!(rows.len(), 2);
+        for (i, row) in rows.iter().enumerate() {
+            let names: Vec<&String> = row.get_column_iter().map(|(name, _)| name).collect();
+            assert!(
+                names
+                    .iter()
+                    .zip(&columns)
+                    .all(|(read, (name, _))| *read == name)
+            );
+            assert_eq!(row.get_byte(0).unwrap(), [1, -2][i]);
+            assert!(row.get_byte(1).is_err(), "it is null");
+            assert_eq!(row.get_int(2).unwrap(), [1242, 375][i]);
+            assert_eq!(row.get_long(3).unwrap(), [1 << 40, 7][i]);
+            assert_eq!(row.get_float(4).ok(), [None, Some(0.5)][i]);
+            assert_eq!(row.get_double(5).ok(), [Some(1.25), None][i]);
+            assert_eq!(row.get_string(6).unwrap(), ["a", "bc"][i]);
+            let bytes: [&[u8]; 2] = [&[1, 0, 2], &[]];
+            assert_eq!(row.get_bytes(7).unwrap().data(), bytes[i]);
+            let list = row.get_list(8).unwrap().elements().len();
+            assert_eq!(list, 16);
+        }
+    }
+
+    #[test]
+    fn an_empty_table_is_a_file_with_its_columns() {
+        let columns = [("key.id".to_owned(), Values::Text(Vec::new()))];
+        let file = encode(&columns).unwrap();
+        let reader = SerializedFileReader::new(bytes::Bytes::from(file)).unwrap();
+        assert_eq!(reader.metadata().file_metadata().num_rows(), 0);
+        assert_eq!(
+            reader
+                .metadata()
+                .file_metadata()
+                .schema_descr()
+                .num_columns(),
+            1
+        );
+    }
+}
