@@ -11,16 +11,16 @@ use std::sync::Mutex;
 
 use anyhow::{Context, Result, bail, ensure};
 use backlot_client::generator::{StreetConfig, StreetWorld};
-use backlot_engine::Field;
 use backlot_engine::train::{
     BackgroundInput, Budget, Progress, Stage, TrainControl, TrainPreset, train_background,
 };
+use backlot_engine::{Asset, Field};
 use backlot_server::api::convert_drive_log::drive_log_from_wire;
 use backlot_server::ingest::background_set;
 use clap::{Parser, ValueEnum};
 
 use clock::{Clock, Source};
-use measure::{Moment, Report, asset_bytes, peak_rss_mib, psnr_held_out, write_views};
+use measure::{Moment, Report, peak_rss_mib, psnr_held_out, stored, write_views};
 
 #[derive(Parser)]
 struct Arguments {
@@ -100,12 +100,16 @@ fn main() -> Result<()> {
         warnings: trained.quality.warnings.clone(),
         progress: state.moments,
         asset_mb: None,
+        psnr_stored: None,
     };
     if let Some(folder) = &arguments.out {
         write_views(&trained.field, &input.views, folder)?;
     }
+    let payload = stored(trained);
+    let read_back = Asset::decode(&payload)?;
     let report = Report {
-        asset_mb: Some(asset_bytes(trained) as f64 / 1e6),
+        asset_mb: Some(payload.len() as f64 / 1e6),
+        psnr_stored: Some(psnr_held_out(&read_back.field, &input.views)),
         ..report
     };
     let text = serde_json::to_string_pretty(&report)?;

@@ -28,8 +28,9 @@ pub(crate) struct Report {
     pub(crate) psnr_train: Option<f64>,
     pub(crate) peak_rss_mib: f64,
     pub(crate) field_mib: f64,
-    /// Of the stored asset.
+    /// Of the stored asset, and the held-out figure of what is read back from it.
     pub(crate) asset_mb: Option<f64>,
+    pub(crate) psnr_stored: Option<f64>,
     pub(crate) voxel_size_m: f64,
     pub(crate) warnings: Vec<String>,
     pub(crate) progress: Vec<Moment>,
@@ -88,8 +89,8 @@ pub(crate) fn write_views(field: &Field, views: &[TrainView], folder: &Path) -> 
     Ok(())
 }
 
-/// Size of the asset as it is stored; recording and valid region, a few kilobytes, are not in it.
-pub(crate) fn asset_bytes(trained: Trained) -> usize {
+/// The asset as it is stored; recording and valid region, a few kilobytes, are not in it.
+pub(crate) fn stored(trained: Trained) -> Vec<u8> {
     let header = AssetHeader {
         format_version: FORMAT_VERSION,
         kind: AssetKind::Background,
@@ -114,7 +115,7 @@ pub(crate) fn asset_bytes(trained: Trained) -> usize {
         header,
         field: Arc::new(trained.field),
     };
-    asset.encode().len()
+    asset.encode()
 }
 
 /// Largest resident set of this process in MiB, with the street's making; 0 where the system does not tell.

@@ -4,12 +4,14 @@ use std::collections::HashMap;
 
 use half::f16;
 use half::slice::HalfFloatSliceExt;
+use rayon::prelude::*;
 use safetensors::Dtype;
 use safetensors::tensor::TensorView;
 
 use super::Asset;
 use super::layout::{FIELD_KEY, FieldLayout, GridLayout, HEADER_KEY};
 use super::quantize::{DENSITY_STEP, density_steps, feature_steps};
+use super::visible::{NodeBits, VisibleCells};
 use super::{AssetHeader, FORMAT_VERSION};
 use crate::field::{BRICK_NODES, FEATURES, Field, Lattice, Occupancy, SkyGrid};
 
@@ -26,12 +28,13 @@ struct Tensor {
 
 impl Asset {
     /// The stored form of the asset in the present format version; see the module `layout` for the format. Densities and
-    /// features are rounded to fixed steps.
+    /// features are rounded to fixed steps, and features that no visible sample reads are left out.
     pub fn encode(&self) -> Vec<u8> {
         let mut tensors = Vec::new();
-        for (l, level) in self.field.levels.iter().enumerate() {
-            tensors.extend(level_tensors(l, level));
-        }
+        let visible = VisibleCells::of(&self.field);
+        let levels = self.field.levels.par_iter().enumerate();
+        let levels = levels.map(|(l, level)| level_tensors(l, level, &visible.nodes(level)));
+        tensors.extend(levels.collect::<Vec<_>>().into_iter().flatten());
         let mlp = self.field.mlp.parameters();
         tensors.push(Tensor {
             name: "mlp".to_owned(),
@@ -92,13 +95,14 @@ fn to_f16_bytes(values: &[f32]) -> Vec<u8> {
     bytemuck::cast_slice(&halves).to_vec()
 }
 
-fn level_tensors(l: usize, level: &Lattice) -> [Tensor; 4] {
+fn level_tensors(l: usize, level: &Lattice, visible: &[NodeBits]) -> [Tensor; 4] {
     let mut positions: Vec<[u16; 3]> = Vec::new();
     let (mut density, mut features, mut scales) = (Vec::new(), Vec::new(), Vec::new());
     for brick in 1..level.brick_count() {
         let nodes = brick * BRICK_NODES..(brick + 1) * BRICK_NODES;
         let raw = density_steps(&level.density()[nodes.clone()]);
-        let (color, scale) = feature_steps(&level.features()[nodes]);
+        let (color, scale) =
+            feature_steps(&visible_features(&level.features()[nodes], &visible[brick]));
         if raw.iter().all(|x| *x == 0) && color.as_flattened().iter().all(|x| *x == 0) {
             continue;
         }
@@ -131,6 +135,18 @@ fn level_tensors(l: usize, level: &Lattice) -> [Tensor; 4] {
         ),
         tensor("feature_scales", Dtype::F16, vec![n, FEATURES], scales),
     ]
+}
+
+/// A brick's features, 0 where a node is not visible.
+fn visible_features(features: &[[f32; FEATURES]], visible: &NodeBits) -> Vec<[f32; FEATURES]> {
+    let nodes = features.iter().enumerate();
+    let kept = nodes.map(
+        |(node, values)| match visible[node >> 6] >> (node & 63) & 1 {
+            1 => *values,
+            _ => [0.0; FEATURES],
+        },
+    );
+    kept.collect()
 }
 
 fn sky_tensor((g, grid): (usize, &SkyGrid)) -> Tensor {

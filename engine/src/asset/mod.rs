@@ -5,6 +5,7 @@ mod encode;
 mod header;
 mod layout;
 mod quantize;
+mod visible;
 
 #[cfg(test)]
 mod tests;
