@@ -3,6 +3,7 @@
 import io
 
 import numpy as np
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 import waymo_schema as schema
@@ -40,7 +41,10 @@ def faults(folder):
         pixels = np.array(Image.open(io.BytesIO(row.image)))
         if not np.array_equal(pixels, np.array(Image.open(folder / frames[key(row)].image))):
             found.append(f"{key(row)}: image")
-    for row in component(folder, "vehicle_pose", schema.VehiclePoseComponent):
+    poses = component(folder, "vehicle_pose", schema.VehiclePoseComponent)
+    if len(poses) != len(frames):
+        found.append(f"{len(poses)} vehicle poses")
+    for row in poses:
         if np.abs(np.reshape(row.world_from_vehicle.transform, (4, 4)) - frames[key(row)].ego).max() > 1e-9:
             found.append(f"{key(row)}: vehicle pose")
     found += calibration_faults(folder, frames)
@@ -127,7 +131,8 @@ def _shifted(column, by):
     def change(table):
         values = [v + by for v in table[column].to_pylist()]
         at = table.column_names.index(column)
-        return table.set_column(at, table.schema.field(column), [values])
+        field = table.schema.field(column)
+        return table.set_column(at, field, pa.array(values, field.type))
 
     return change
 

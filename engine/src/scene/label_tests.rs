@@ -190,10 +190,10 @@ proptest! {
         let mut without = whole.clone();
         without.objects.retain(|o| o.asset != Some(2));
         let (full, bare) = (fields.shoot(&whole), fields.shoot(&without));
-        prop_assert_eq!(&full.rgb8, &bare.rgb8);
-        prop_assert_eq!(&full.instance, &bare.instance);
-        prop_assert_eq!(&full.depth_z_m, &bare.depth_z_m);
-        prop_assert_eq!(&full.accumulation, &bare.accumulation);
+        prop_assert!(full.rgb8 == bare.rgb8, "colours differ");
+        prop_assert!(full.instance == bare.instance, "instances differ");
+        prop_assert!(full.depth_z_m == bare.depth_z_m, "depths differ");
+        prop_assert!(full.accumulation == bare.accumulation, "accumulations differ");
         prop_assert_eq!(labels(&whole, &full), labels(&without, &bare));
     }
 
@@ -206,9 +206,9 @@ proptest! {
         turned.objects.rotate_left(turn % count);
         turned.objects.swap(0, count - 1);
         let (a, b) = (fields.shoot(&forward), fields.shoot(&turned));
-        prop_assert_eq!(&a.rgb8, &b.rgb8);
-        prop_assert_eq!(&a.instance, &b.instance);
-        prop_assert_eq!(&a.depth_z_m, &b.depth_z_m);
+        prop_assert!(a.rgb8 == b.rgb8, "colours differ");
+        prop_assert!(a.instance == b.instance, "instances differ");
+        prop_assert!(a.depth_z_m == b.depth_z_m, "depths differ");
         let sorted = |mut labels: Vec<FrameLabel>| {
             labels.sort_by_key(|l| l.instance_id);
             labels
@@ -253,14 +253,25 @@ fn thin_objects_and_swapped_ids_show() {
     let fields = Fields::new();
     let thin = scene(&[(1, 9.0, 0.5, 0.3)]);
     let empty = scene(&[(2, 9.0, 0.5, 0.3)]);
-    assert_ne!(fields.shoot(&thin).rgb8, fields.shoot(&empty).rgb8);
+    assert!(fields.shoot(&thin).rgb8 != fields.shoot(&empty).rgb8);
     let two = scene(&[(0, 9.0, 0.5, 0.3), (0, 14.0, 1.5, 1.0)]);
     let mut swapped = two.clone();
     swapped.objects[0].instance_id = 2;
     swapped.objects[1].instance_id = 1;
     let (a, b) = (fields.shoot(&two), fields.shoot(&swapped));
-    assert_eq!(a.rgb8, b.rgb8);
-    assert_ne!(a.instance, b.instance);
+    assert!(a.rgb8 == b.rgb8 && a.instance != b.instance);
+}
+
+/// The box of an empty object in a wall takes nothing from the wall, whatever else the rays meet.
+#[test]
+fn an_empty_object_makes_no_hole_beside_another() {
+    let fields = Fields::new();
+    let both = scene(&[(2, 25.2, 6.7, 0.0), (1, 24.7, 6.6, 0.0)]);
+    let mut alone = both.clone();
+    alone.objects.retain(|o| o.asset != Some(2));
+    assert!(fields.shoot(&both).rgb8 == fields.shoot(&alone).rgb8);
+    let solid = scene(&[(0, 25.2, 6.7, 0.0), (1, 24.7, 6.6, 0.0)]);
+    assert!(fields.shoot(&solid).rgb8 != fields.shoot(&alone).rgb8);
 }
 
 /// A label that stays when an insert covers an original wholly would be one without a pixel.

@@ -286,9 +286,12 @@ impl<'a> TileRenderer<'a> {
         !samples.is_empty()
     }
 
-    /// Background density inside an object's cuboid is haze (or the object's own ghost) unless it is the ground.
+    /// Background density inside the cuboid of an object that the ray meets is haze (or the object's own ghost) unless it is the ground.
     fn suppress_haze(&mut self, ray: EyeRay) {
-        for i in &self.active {
+        for (slot, i) in self.active.iter().enumerate() {
+            if self.sources[1 + slot].is_empty() {
+                continue;
+            }
             let object = &self.scene.objects[*i];
             let to_object = &object.object_from_local;
             let origin = to_object.point(ray.origin.as_dvec3()).as_vec3();
