@@ -14,7 +14,7 @@ pub struct Binding {
     /// Name of the WGSL variable.
     pub name: &'static str,
     pub access: Access,
-    /// Smallest legal binding in bytes: the struct, or one element of the array.
+    /// Smallest legal binding in bytes: the struct, or one element of a storage array, or a whole uniform array.
     pub min_bytes: u64,
 }
 
@@ -30,10 +30,12 @@ pub struct Kernel {
     pub bindings: &'static [Binding],
     /// Threads along x of a workgroup; the override `WORKGROUP_SIZE`.
     pub workgroup_size: u32,
+    /// Overrides whose values differ from pipeline to pipeline.
+    pub parameters: &'static [&'static str],
 }
 
 impl Kernel {
-    /// Values of the kernel's pipeline overrides: constants that host and kernel share.
+    /// Values of the overrides that are the same in every pipeline: constants that host and kernel share.
     pub fn constants(&self) -> Vec<(&'static str, f64)> {
         vec![
             ("BRICK_SIDE", f64::from(crate::BRICK_SIDE)),
@@ -41,3 +43,19 @@ impl Kernel {
         ]
     }
 }
+
+/// A kernel of this name concatenated from these files, whose endings are left out. Its bindings and size are still to be set.
+macro_rules! kernel_of {
+    ($name:literal, $($file:literal),+ $(,)?) => {
+        $crate::kernel::Kernel {
+            name: $name,
+            files: &[$(concat!($file, ".wgsl")),+],
+            source: concat!($(include_str!(concat!("../wgsl/", $file, ".wgsl"))),+),
+            bindings: &[],
+            workgroup_size: 1,
+            parameters: &[],
+        }
+    };
+}
+
+pub(crate) use kernel_of;

@@ -1,25 +1,15 @@
 //! The table of kernels; a test compares it with the files of `wgsl/`.
 
-use crate::kernel::{Access, Binding, Kernel};
+use crate::kernel::{Access, Binding, Kernel, kernel_of};
 use crate::layout::{Block, Level, MarchParams, Ray, RaySample, RaySummary};
+
+pub use crate::training::{
+    COMPOSITE_SAMPLES, GATHER_FEATURES, NETWORK_BACKWARD, NETWORK_FORWARD, RAY_LOSSES,
+    SCATTER_GRADIENTS, STEP_BRICKS, STEP_NETWORK, STEP_SKY, SUM_STEP,
+};
 
 /// Marches rays through a density pyramid; one thread a ray.
 pub const MARCH_DENSITY: Kernel = Kernel {
-    name: "march_density",
-    files: &[
-        "types.wgsl",
-        "lattice.wgsl",
-        "occupancy.wgsl",
-        "density.wgsl",
-        "march_density.wgsl",
-    ],
-    source: concat!(
-        include_str!("../wgsl/types.wgsl"),
-        include_str!("../wgsl/lattice.wgsl"),
-        include_str!("../wgsl/occupancy.wgsl"),
-        include_str!("../wgsl/density.wgsl"),
-        include_str!("../wgsl/march_density.wgsl"),
-    ),
     bindings: &[
         bind::<MarchParams>("params", Access::Uniform),
         bind::<Level>("levels", Access::Read),
@@ -32,15 +22,46 @@ pub const MARCH_DENSITY: Kernel = Kernel {
         bind::<RaySample>("samples", Access::ReadWrite),
     ],
     workgroup_size: 64,
+    ..kernel_of!(
+        "march_density",
+        "types",
+        "transcendental",
+        "lattice",
+        "raw_density",
+        "occupancy",
+        "density",
+        "march_density"
+    )
 };
 
 /// Every kernel.
-pub const ALL: &[Kernel] = &[MARCH_DENSITY];
+pub const ALL: &[Kernel] = &[
+    MARCH_DENSITY,
+    COMPOSITE_SAMPLES,
+    GATHER_FEATURES,
+    NETWORK_FORWARD,
+    RAY_LOSSES,
+    NETWORK_BACKWARD,
+    SCATTER_GRADIENTS,
+    SUM_STEP,
+    STEP_BRICKS,
+    STEP_NETWORK,
+    STEP_SKY,
+];
 
-const fn bind<T>(name: &'static str, access: Access) -> Binding {
+pub(crate) const fn bind<T>(name: &'static str, access: Access) -> Binding {
     Binding {
         name,
         access,
         min_bytes: size_of::<T>() as u64,
+    }
+}
+
+/// A uniform array of `len` values of `T`.
+pub(crate) const fn bind_array<T>(name: &'static str, len: usize) -> Binding {
+    Binding {
+        name,
+        access: Access::Uniform,
+        min_bytes: (len * size_of::<T>()) as u64,
     }
 }

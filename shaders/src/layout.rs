@@ -97,3 +97,156 @@ pub struct MarchParams {
     pub groups_x: u32,
     pub padding: [u32; 2],
 }
+
+/// Parameters of a training step's kernels for one batch of its rays.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
+#[repr(C)]
+pub struct TrainParams {
+    /// Length in metres that raw densities are activated for.
+    pub base_voxel_m: f32,
+    pub level_count: u32,
+    pub sky_grid_count: u32,
+    /// Rays of the batch, and the batch's first within the step.
+    pub ray_count: u32,
+    pub first_ray: u32,
+    /// Rays of the whole step.
+    pub step_ray_count: u32,
+    /// Samples stored for each ray.
+    pub sample_capacity: u32,
+    pub step: u32,
+    /// Samples of lighter weight take no part in colour.
+    pub min_weight: f32,
+    pub sample_color: f32,
+    pub entropy: f32,
+    pub depth_scale_m: f32,
+    pub depth_cap_m: f32,
+    pub depth_trim_m: f32,
+    /// 1: the composited range's absolute error; 0: the expected robust error.
+    pub depth_is_composited: u32,
+    /// 1: the rectified loss as printed; 0: cross-entropy.
+    pub rectified_is_printed: u32,
+    pub distortion: f32,
+    pub distortion_scale_m: f32,
+    pub density_rate: f32,
+    pub feature_rate: f32,
+    /// Of Adam, its bias corrections included.
+    pub network_rate: f32,
+    pub sky_rate: f32,
+    pub density_variation_rate: f32,
+    pub feature_variation_rate: f32,
+    /// 1: views' exposures apply.
+    pub has_exposures: u32,
+    /// 1: views' poses are learned.
+    pub learns_poses: u32,
+    /// Quantile of the range errors that the next step takes for outliers; 0 keeps `depth_trim_m`.
+    pub trim_quantile: f32,
+    pub sky_texel_count: u32,
+}
+
+/// What a ray should have shown; a weight of 0 switches a target off.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
+#[repr(C)]
+pub struct RayTarget {
+    /// sRGB.
+    pub color: [f32; 3],
+    pub color_weight: f32,
+    pub backdrop: [f32; 3],
+    pub silhouette_weight: f32,
+    pub range_m: f32,
+    pub range_weight: f32,
+    /// 0: the sky, which learns; 1: the sky as it is; 2: `backdrop`.
+    pub backdrop_kind: u32,
+    /// 0: unknown; 1: opaque; 2: transparent.
+    pub silhouette: u32,
+    pub view: u32,
+    /// 1: reflected about the x-z plane.
+    pub mirrored: u32,
+    pub padding: [u32; 2],
+}
+
+/// A coloured sample.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
+#[repr(C)]
+pub struct SlotSample {
+    pub ray: u32,
+    /// Distance along the ray, metres.
+    pub t: f32,
+}
+
+/// A sample's place and gradient.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
+#[repr(C)]
+pub struct GradientPoint {
+    pub position_m: [f32; 3],
+    /// By the raw density there.
+    pub raw: f32,
+    /// Row of the feature gradients; `u32::MAX` for none.
+    pub slot: u32,
+    pub ray: u32,
+    pub padding: [u32; 2],
+}
+
+/// One latitude-longitude grid of the sky.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
+#[repr(C)]
+pub struct SkyGrid {
+    pub width: u32,
+    pub height: u32,
+    /// Its first texel.
+    pub start: u32,
+}
+
+/// What a ray adds to its step's sums.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
+#[repr(C)]
+pub struct RayLoss {
+    /// Mean squared error; 0 without colour.
+    pub squared_error: f32,
+    /// Weighted sum of the ray's losses.
+    pub loss: f32,
+    /// Absolute error of the composited range in metres; below 0 for none.
+    pub range_error_m: f32,
+    /// 1 for a colour ray.
+    pub is_color: u32,
+}
+
+/// Sums of a step, and what the next one takes over.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
+#[repr(C)]
+pub struct StepState {
+    pub squared_error: f32,
+    pub loss: f32,
+    pub color_rays: u32,
+    pub samples: u32,
+    pub colored: u32,
+    /// Range errors above this are outliers for the next step, metres.
+    pub depth_trim_m: f32,
+    /// Steps whose sums were finite; the first one with others ends learning.
+    pub finite_steps: u32,
+    /// 1 once sums were not finite.
+    pub diverged: u32,
+}
+
+/// A view's exposure: `color' = exp(log_gain) color + bias`; the fourth components mean nothing.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
+#[repr(C)]
+pub struct Exposure {
+    pub log_gain: [f32; 4],
+    pub bias: [f32; 4],
+}
+
+/// A ray's gradient by its view's exposure.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
+#[repr(C)]
+pub struct ExposureGradient {
+    pub log_gain: [f32; 4],
+    pub bias: [f32; 4],
+}
+
+/// A network weight's optimiser state.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
+#[repr(C)]
+pub struct Moments {
+    pub mean: f32,
+    pub square: f32,
+}

@@ -10,7 +10,27 @@ mod kernel;
 
 pub mod kernels;
 
+mod training;
+
 pub use kernel::{Access, Binding, Kernel};
 
 /// Nodes along one edge of a brick.
 pub const BRICK_SIDE: u32 = 8;
+
+/// Values of a 4x4 block of network weights.
+pub const BLOCK_FLOATS: usize = 16;
+
+/// Neurons, inputs or samples along one edge of a block.
+pub const BLOCK_EDGE: usize = 4;
+
+/// Blocks of the colour network's inputs.
+pub const INPUT_BLOCKS: usize = 10;
+
+/// Greatest hidden width, in blocks.
+pub const MAX_WIDTH_BLOCKS: usize = 32;
+
+/// Blocks that the kernels declare for each layer, i.e. of the widest network; the third holds the last layer's weights, the second
+/// layer's biases and its own.
+pub const LAYER_1_BLOCKS: usize = MAX_WIDTH_BLOCKS * INPUT_BLOCKS;
+pub const LAYER_2_BLOCKS: usize = MAX_WIDTH_BLOCKS * MAX_WIDTH_BLOCKS;
+pub const LAYER_3_BLOCKS: usize = 2 * MAX_WIDTH_BLOCKS + 1;

@@ -4,10 +4,24 @@ use std::collections::BTreeMap;
 use std::mem::offset_of;
 
 use backlot_shaders::kernels;
-use backlot_shaders::layout::{Block, Level, MarchParams, Ray, RaySample, RaySummary};
+use backlot_shaders::layout::{
+    Block, Exposure, ExposureGradient, GradientPoint, Level, MarchParams, Moments, Ray, RayLoss,
+    RaySample, RaySummary, RayTarget, SkyGrid, SlotSample, StepState, TrainParams,
+};
 
 /// Structs that never leave a kernel, so they have no mirror.
-const INTERNAL: [&str; 2] = ["RawDensity", "Space"];
+const INTERNAL: [&str; 8] = [
+    "Corners",
+    "Features",
+    "Loss",
+    "RawDensity",
+    "SkyTexels",
+    "Slopes",
+    "Space",
+    "Totals",
+];
+/// What naga declares for compare-and-exchange.
+const PREDECLARED: &str = "__atomic_compare_exchange_result";
 
 /// Field name -> byte offset, and the array stride under the key "(stride)".
 type Layout = BTreeMap<String, usize>;
@@ -43,6 +57,66 @@ fn mirrors() -> BTreeMap<String, Layout> {
             low_m, base_voxel_m, high_m, act_shift, occupancy_origin_m, cell_m, blocks, level_count,
             step_growth, sigma_min, nudge_m, ray_count, sample_capacity, groups_x
         } padded by padding),
+        mirror!(TrainParams {
+            base_voxel_m,
+            level_count,
+            sky_grid_count,
+            ray_count,
+            first_ray,
+            step_ray_count,
+            sample_capacity,
+            step,
+            min_weight,
+            sample_color,
+            entropy,
+            depth_scale_m,
+            depth_cap_m,
+            depth_trim_m,
+            depth_is_composited,
+            rectified_is_printed,
+            distortion,
+            distortion_scale_m,
+            density_rate,
+            feature_rate,
+            network_rate,
+            sky_rate,
+            density_variation_rate,
+            feature_variation_rate,
+            has_exposures,
+            learns_poses,
+            trim_quantile,
+            sky_texel_count
+        }),
+        mirror!(RayTarget {
+            color, color_weight, backdrop, silhouette_weight, range_m, range_weight, backdrop_kind, silhouette,
+            view, mirrored
+        } padded by padding),
+        mirror!(SlotSample { ray, t }),
+        mirror!(GradientPoint { position_m, raw, slot, ray } padded by padding),
+        mirror!(SkyGrid {
+            width,
+            height,
+            start
+        }),
+        mirror!(RayLoss {
+            squared_error,
+            loss,
+            range_error_m,
+            is_color
+        }),
+        mirror!(StepState {
+            squared_error,
+            loss,
+            color_rays,
+            samples,
+            colored,
+            depth_trim_m,
+            finite_steps,
+            diverged
+        }),
+        mirror!(Exposure { log_gain, bias }),
+        mirror!(ExposureGradient { log_gain, bias }),
+        mirror!(Moments { mean, square }),
     ])
 }
 
@@ -83,7 +157,7 @@ fn wgsl_structs(source: &str) -> BTreeMap<String, Layout> {
         .iter()
         .filter_map(|(_, ty)| match (&ty.name, &ty.inner) {
             (Some(name), naga::TypeInner::Struct { members, span })
-                if !INTERNAL.contains(&name.as_str()) =>
+                if !INTERNAL.contains(&name.as_str()) && !name.starts_with(PREDECLARED) =>
             {
                 let mut layout = Layout::from([("(stride)".to_owned(), *span as usize)]);
                 layout.extend(

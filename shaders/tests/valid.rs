@@ -32,7 +32,9 @@ fn every_kernel_is_valid_and_as_the_table_says() {
         let constants: BTreeSet<_> = kernel
             .constants()
             .iter()
-            .map(|(name, _)| (*name).to_owned())
+            .map(|(name, _)| *name)
+            .chain(kernel.parameters.iter().copied())
+            .map(str::to_owned)
             .collect();
         assert_eq!(
             overrides, constants,
@@ -117,7 +119,11 @@ fn check_bindings(kernel: &Kernel, module: &naga::Module) -> usize {
         };
         let inner = &module.types[variable.ty].inner;
         let min_bytes = match inner {
-            naga::TypeInner::Array { stride, .. } => u64::from(*stride),
+            naga::TypeInner::Array {
+                stride,
+                size: naga::ArraySize::Dynamic,
+                ..
+            } => u64::from(*stride),
             other => u64::from(other.size(module.to_ctx())),
         };
         let slot = &mut seen[binding.binding as usize];

@@ -1,30 +1,25 @@
-// Node lookup and trilinear interpolation in a pyramid of brick-sparse lattices.
+// Nodes and trilinear weights in a pyramid of brick-sparse lattices.
 
-// Raw density at a point, and whether any level stores a brick there.
-struct RawDensity {
-    raw: f32,
+// Nodes of a brick, x fastest.
+const NODES_PER_BRICK: u32 = 512u;
+
+// The eight nodes around a point and their weights; corner c has bit 0 for x, 1 for y, 2 for z. A node below NODES_PER_BRICK is
+// one of the null brick: nothing is stored there, and it is 0.
+struct Corners {
+    nodes: array<u32, 8>,
+    weights: array<f32, 8>,
+    // Whether any of them is stored.
     stored: bool,
 }
 
-// Sum of the levels' trilinear interpolations.
-fn raw_density(point: vec3<f32>) -> RawDensity {
-    var sum = RawDensity(0.0, false);
-    for (var l = 0u; l < params.level_count; l++) {
-        let level = level_density(levels[l], point);
-        sum.raw += level.raw;
-        sum.stored = sum.stored || level.stored;
-    }
-    return sum;
-}
-
-// One level; zero outside of it.
-fn level_density(level: Level, point: vec3<f32>) -> RawDensity {
-    var sum = RawDensity(0.0, false);
+// Where a level stores what is around a point; all null outside of it.
+fn corners_at(level: Level, point: vec3<f32>) -> Corners {
+    var corners: Corners;
     let position = (point - level.origin_m) * (1.0 / level.voxel_m);
     let limit = vec3<f32>(level.bricks * BRICK_SIDE);
     // Written so that NaN is outside.
     if !(all(position >= vec3<f32>(0.0)) && all(position < limit)) {
-        return sum;
+        return corners;
     }
     let base = vec3<u32>(position);
     let f = position - vec3<f32>(base);
@@ -33,20 +28,16 @@ fn level_density(level: Level, point: vec3<f32>) -> RawDensity {
         let weight = select(1.0 - f, f, step == vec3<u32>(1u));
         let node = base + step;
         let brick = stored_brick(level, node / BRICK_SIDE);
-        sum.stored = sum.stored || brick != 0u;
-        sum.raw += node_density(brick, node % BRICK_SIDE) * (weight.x * (weight.y * weight.z));
+        let within = node % BRICK_SIDE;
+        corners.nodes[corner] = brick * NODES_PER_BRICK + within.x + BRICK_SIDE * (within.y + BRICK_SIDE * within.z);
+        corners.weights[corner] = weight.x * (weight.y * weight.z);
+        corners.stored = corners.stored || brick != 0u;
     }
-    return sum;
+    return corners;
 }
 
 // Stored brick at a brick position; 0 is the null brick. The index has one more cell per axis than the level, always null.
 fn stored_brick(level: Level, position: vec3<u32>) -> u32 {
     let cells = level.bricks + 1u;
     return brick_index[level.index_start + position.x + cells.x * (position.y + cells.y * position.z)];
-}
-
-// Value of one node of a brick.
-fn node_density(brick: u32, within: vec3<u32>) -> f32 {
-    let offset = within.x + BRICK_SIDE * (within.y + BRICK_SIDE * within.z);
-    return density[brick * (BRICK_SIDE * BRICK_SIDE * BRICK_SIDE) + offset];
 }

@@ -69,6 +69,11 @@ impl<T: NoUninit + AnyBitPattern> Buffer<T> {
         })
     }
 
+    /// Values it holds.
+    pub(super) fn len(&self) -> usize {
+        self.len
+    }
+
     /// Size on the device.
     pub(super) fn bytes(&self) -> u64 {
         self.raw.size()

@@ -142,6 +142,24 @@ impl Device {
         self.alive().is_err()
     }
 
+    /// Waits until a submission and all before it are done.
+    pub(super) fn wait_for(&self, submission: wgpu::SubmissionIndex) -> Result<(), Error> {
+        let polled = self.device.poll(wgpu::PollType::Wait {
+            submission_index: Some(submission),
+            timeout: None,
+        });
+        self.alive()?;
+        polled.map(|_| ()).map_err(|error| Error::Rejected {
+            stage: "wait",
+            reason: error.to_string(),
+        })
+    }
+
+    /// Whether kernels run on the processor: few threads and large caches, instead of many threads and small ones.
+    pub(super) fn is_software(&self) -> bool {
+        self.info.device_type == wgpu::DeviceType::Cpu
+    }
+
     fn alive(&self) -> Result<(), Error> {
         let lost = self.lost.lock().map_or_else(
             |poisoned| poisoned.into_inner().clone(),

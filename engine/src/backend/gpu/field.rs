@@ -53,14 +53,14 @@ impl ResidentField {
     }
 }
 
-struct Pyramid {
-    levels: Vec<layout::Level>,
-    brick_index: Vec<u32>,
-    density: Vec<f32>,
+pub(super) struct Pyramid {
+    pub(super) levels: Vec<layout::Level>,
+    pub(super) brick_index: Vec<u32>,
+    pub(super) density: Vec<f32>,
 }
 
 /// Puts the levels one after the other; every level's null brick becomes brick 0.
-fn flatten(levels: &[Lattice]) -> Pyramid {
+pub(super) fn flatten(levels: &[Lattice]) -> Pyramid {
     let mut pyramid = Pyramid {
         levels: Vec::new(),
         brick_index: Vec::new(),
@@ -92,7 +92,7 @@ fn flatten(levels: &[Lattice]) -> Pyramid {
     pyramid
 }
 
-fn blocks(occupancy: &Occupancy) -> Vec<layout::Block> {
+pub(super) fn blocks(occupancy: &Occupancy) -> Vec<layout::Block> {
     let stored = occupancy.masks().iter().zip(occupancy.steps_m());
     let block = |(words, step_m): (&[u64; 8], &f32)| {
         let mut mask = [0; 16];
@@ -107,7 +107,7 @@ fn blocks(occupancy: &Occupancy) -> Vec<layout::Block> {
     stored.map(block).collect()
 }
 
-fn params(field: &Field) -> layout::MarchParams {
+pub(super) fn params(field: &Field) -> layout::MarchParams {
     let (low, high) = field.bounds();
     let (occupancy, activation) = (field.occupancy(), field.activation());
     layout::MarchParams {

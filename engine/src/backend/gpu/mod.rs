@@ -8,11 +8,15 @@ mod buffer;
 
 mod pipeline;
 
+mod sequence;
+
 mod field;
 
 mod march;
 
 mod durable;
+
+mod train;
 
 #[cfg(test)]
 mod parity_tests;
@@ -20,6 +24,7 @@ mod parity_tests;
 pub use device::{Device, adapters};
 pub use durable::DurableGpu;
 pub use error::Error;
+pub use train::{GpuSums, GpuTrainer};
 
 use std::sync::Arc;
 
@@ -49,6 +54,14 @@ impl GpuBackend {
     /// Whether the device is gone; a new one must be opened.
     pub fn is_lost(&self) -> bool {
         self.device.is_lost()
+    }
+
+    /// A trainer of `field` on this device.
+    ///
+    /// # Errors
+    /// [`Error::TooLarge`] or [`Error::OutOfMemory`] where it does not fit, and [`Error::Lost`].
+    pub fn trainer(&self, field: Field) -> Result<GpuTrainer, Error> {
+        GpuTrainer::new(self.device.clone(), field)
     }
 
     /// Kernels dispatched on this device so far.

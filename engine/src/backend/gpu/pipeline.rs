@@ -38,11 +38,31 @@ impl Pipeline {
     /// # Errors
     /// [`Error::Rejected`] where the driver does not take the kernel.
     pub(super) fn new(device: &Device, kernel: &Kernel) -> Result<Self, Error> {
+        Self::with(device, kernel, &[])
+    }
+
+    /// [`Self::new`] with values for the kernel's parameters.
+    ///
+    /// # Errors
+    /// As [`Self::new`].
+    pub(super) fn with(
+        device: &Device,
+        kernel: &Kernel,
+        parameters: &[(&'static str, f64)],
+    ) -> Result<Self, Error> {
+        let names = parameters.iter().map(|(name, _)| name);
+        assert!(
+            names.eq(kernel.parameters),
+            "{}: its parameters are {:?}",
+            kernel.name,
+            kernel.parameters
+        );
         let entries: Vec<_> = (0..)
             .zip(kernel.bindings)
             .map(|(number, binding)| layout_entry(number, binding))
             .collect();
-        let constants = kernel.constants();
+        let mut constants = kernel.constants();
+        constants.extend_from_slice(parameters);
         let (pipeline, layout) = device.checked(kernel.name, || {
             let module = device
                 .device
@@ -87,6 +107,11 @@ impl Pipeline {
         })
     }
 
+    /// Threads of a workgroup.
+    pub(super) fn workgroup_size(&self) -> u32 {
+        self.kernel.workgroup_size
+    }
+
     pub(super) fn groups(&self, device: &Device, items: u32) -> Groups {
         Groups::cover(
             items,
@@ -105,6 +130,32 @@ impl Pipeline {
         groups: Groups,
         buffers: &[&wgpu::Buffer],
     ) -> Result<(), Error> {
+        let label = Some(self.kernel.name);
+        device.checked(self.kernel.name, || {
+            let group = self.group(device, buffers);
+            let mut encoder = device
+                .device
+                .create_command_encoder(&wgpu::CommandEncoderDescriptor { label });
+            self.encode(&mut encoder, &group, groups);
+            device.queue.submit([encoder.finish()]);
+        })?;
+        device.count_dispatch();
+        Ok(())
+    }
+
+    /// Puts `buffers`, in the order of the kernel's bindings, together for many dispatches.
+    ///
+    /// # Errors
+    /// [`Error::Lost`] or [`Error::Rejected`].
+    pub(super) fn bind(
+        &self,
+        device: &Device,
+        buffers: &[&wgpu::Buffer],
+    ) -> Result<wgpu::BindGroup, Error> {
+        device.checked(self.kernel.name, || self.group(device, buffers))
+    }
+
+    fn group(&self, device: &Device, buffers: &[&wgpu::Buffer]) -> wgpu::BindGroup {
         assert_eq!(
             buffers.len(),
             self.kernel.bindings.len(),
@@ -118,28 +169,27 @@ impl Pipeline {
                 resource: buffer.as_entire_binding(),
             })
             .collect();
-        let label = Some(self.kernel.name);
-        device.checked(self.kernel.name, || {
-            let group = device.device.create_bind_group(&wgpu::BindGroupDescriptor {
-                label,
-                layout: &self.layout,
-                entries: &entries,
-            });
-            let mut encoder = device
-                .device
-                .create_command_encoder(&wgpu::CommandEncoderDescriptor { label });
-            let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
-                label,
-                timestamp_writes: None,
-            });
-            pass.set_pipeline(&self.pipeline);
-            pass.set_bind_group(0, &group, &[]);
-            pass.dispatch_workgroups(groups.x, groups.y, 1);
-            drop(pass);
-            device.queue.submit([encoder.finish()]);
-        })?;
-        device.count_dispatch();
-        Ok(())
+        device.device.create_bind_group(&wgpu::BindGroupDescriptor {
+            label: Some(self.kernel.name),
+            layout: &self.layout,
+            entries: &entries,
+        })
+    }
+
+    /// Adds the kernel's run to a list of commands.
+    pub(super) fn encode(
+        &self,
+        encoder: &mut wgpu::CommandEncoder,
+        bound: &wgpu::BindGroup,
+        groups: Groups,
+    ) {
+        let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
+            label: Some(self.kernel.name),
+            timestamp_writes: None,
+        });
+        pass.set_pipeline(&self.pipeline);
+        pass.set_bind_group(0, bound, &[]);
+        pass.dispatch_workgroups(groups.x, groups.y, 1);
     }
 }
 

@@ -1,0 +1,313 @@
+//! Training on the device.
+//!
+//! A step is a few batches of rays, each one submission: march, composite, gather features, colour, lose, differentiate, scatter;
+//! and one more that sums the losses and moves all parameters. Samples, their weights and what is coloured are decided once
+//! and recorded. Nothing comes back to the host but [`GpuTrainer::sums`] and, before bricks change, [`GpuTrainer::fetch`].
+
+mod batch;
+mod bindings;
+mod kernels;
+mod lattices;
+pub(super) mod network;
+mod rays;
+mod sky;
+mod state;
+
+use backlot_shaders::layout;
+use wgpu::BufferUsages;
+
+use batch::{Batch, Capacity, most_samples};
+use bindings::{Bindings, Buffers};
+use kernels::TrainKernels;
+use lattices::{Lattices, LevelSquares};
+use network::ResidentNetwork;
+use rays::{march_ray, step_params, target};
+use sky::Sky;
+use state::StepBuffers;
+
+use super::buffer::Buffer;
+use super::device::Device;
+use super::error::Error;
+use super::pipeline::{Groups, Pipeline};
+use super::sequence::Sequence;
+use crate::field::Field;
+use crate::train::ray::{Rates, RayLosses, TrainRay};
+
+/// Sums over the rays of the last step.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct GpuSums {
+    pub color_rays: u64,
+    /// Sum of the colour rays' mean squared errors.
+    pub squared_error: f64,
+    /// Weighted sum of all losses.
+    pub loss: f64,
+    /// Samples marched, and those coloured.
+    pub samples: u64,
+    pub colored: u64,
+    /// The step, counted from 0, whose loss was not finite; nothing has moved since.
+    pub diverged_at: Option<u64>,
+}
+
+/// A field on a device with its optimiser state and all buffers of a step. Mirrors [`crate::backend::cpu::CpuTrainer`], in f32.
+#[derive(Debug)]
+pub struct GpuTrainer {
+    device: Device,
+    kernels: TrainKernels,
+    /// As of the last [`Self::fetch`], but for the bricks, which are always up to date.
+    field: Field,
+    squares: Vec<LevelSquares>,
+    march_params: Buffer<layout::MarchParams>,
+    step: StepBuffers,
+    network: ResidentNetwork,
+    sky: Sky,
+    /// `None` after bricks changed.
+    lattices: Option<Lattices>,
+    batch: Option<Batch>,
+    /// Of the two above.
+    bindings: Option<Bindings>,
+    samples_per_ray: u32,
+    steps: u64,
+    /// The device may be one submission behind the host.
+    pending: Option<wgpu::SubmissionIndex>,
+    march_rays: Vec<layout::Ray>,
+    targets: Vec<layout::RayTarget>,
+}
+
+impl GpuTrainer {
+    /// Uploads a field.
+    ///
+    /// # Errors
+    /// [`Error::TooLarge`] or [`Error::OutOfMemory`] where it does not fit, [`Error::Lost`] and [`Error::Rejected`].
+    pub(super) fn new(device: Device, field: Field) -> Result<Self, Error> {
+        let network = field.mlp.layout();
+        let mut trainer = Self {
+            kernels: TrainKernels::new(&device, network)?,
+            march_params: Buffer::zeroed(&device, "march parameters", 1, BufferUsages::UNIFORM)?,
+            step: StepBuffers::new(&device, network)?,
+            network: ResidentNetwork::upload(&device, &field.mlp)?,
+            sky: Sky::upload(&device, &field)?,
+            squares: vec![LevelSquares::default(); field.levels.len()],
+            lattices: None,
+            batch: None,
+            bindings: None,
+            samples_per_ray: 0,
+            steps: 0,
+            pending: None,
+            march_rays: Vec::new(),
+            targets: Vec::new(),
+            field,
+            device,
+        };
+        trainer.upload(1)?;
+        Ok(trainer)
+    }
+
+    /// The field as of the last [`Self::fetch`].
+    pub fn field(&self) -> &Field {
+        &self.field
+    }
+
+    pub fn into_field(self) -> Field {
+        self.field
+    }
+
+    /// Kernels dispatched on the device so far, by whomever.
+    pub fn dispatch_count(&self) -> u64 {
+        self.device.dispatch_count()
+    }
+
+    /// Brings the device's parameters and optimiser state to the host.
+    ///
+    /// # Errors
+    /// [`Error::Lost`] and [`Error::Rejected`].
+    pub fn fetch(&mut self) -> Result<(), Error> {
+        if let Some(lattices) = &self.lattices {
+            lattices.fetch(&self.device, &mut self.field, &mut self.squares)?;
+            self.network.fetch(&self.device, &mut self.field.mlp)?;
+            self.sky.fetch(&self.device, &mut self.field)?;
+        }
+        Ok(())
+    }
+
+    /// Changes the occupancy or adds bricks between steps, after [`Self::fetch`]; the next step uploads the field. Removing bricks
+    /// is [`Self::retain_bricks`].
+    pub fn field_mut(&mut self) -> &mut Field {
+        self.lattices = None;
+        &mut self.field
+    }
+
+    /// Drops the bricks of a level for which `keep` does not hold, with their optimiser state, after [`Self::fetch`].
+    pub fn retain_bricks(&mut self, level: usize, keep: impl Fn(u32) -> bool) {
+        self.lattices = None;
+        let old_of_new = self.field.levels[level].retain(keep);
+        self.squares[level].retain(&old_of_new);
+    }
+
+    /// Takes one optimiser step on `rays`, without waiting for its end. `cancelled` is asked between batches.
+    ///
+    /// With `trim_quantile` above 0, rays whose range error exceeded that quantile of the previous step's are outliers, and
+    /// [`RayLosses::depth_trim_m`] is ignored.
+    ///
+    /// # Errors
+    /// [`crate::Error::Cancelled`], after which the trainer is of no more use, and the device's.
+    pub fn step(
+        &mut self,
+        rays: &[TrainRay],
+        losses: &RayLosses,
+        rates: Rates,
+        trim_quantile: f64,
+        cancelled: &dyn Fn() -> bool,
+    ) -> crate::Result<()> {
+        self.upload(rays.len())?;
+        let mut params = step_params(&self.field, losses, rates, self.steps);
+        params.step_ray_count = rays.len() as u32;
+        params.trim_quantile = trim_quantile as f32;
+        let batch = self.batch.as_ref().map_or(1, |batch| batch.capacity.rays as usize);
+        for (number, rays) in rays.chunks(batch).enumerate() {
+            if cancelled() {
+                return Err(crate::Error::Cancelled);
+            }
+            params.first_ray = (number * batch) as u32;
+            params.ray_count = rays.len() as u32;
+            self.submit_batch(rays, params)?;
+        }
+        self.submit_update(params)?;
+        self.steps += 1;
+        Ok(())
+    }
+
+    /// What the last step summed; waits for it.
+    ///
+    /// # Errors
+    /// [`Error::Lost`] and [`Error::Rejected`].
+    pub fn sums(&self) -> Result<GpuSums, Error> {
+        let state = self.step.state.read(&self.device, 1)?[0];
+        Ok(GpuSums {
+            color_rays: state.color_rays.into(),
+            squared_error: state.squared_error.into(),
+            loss: state.loss.into(),
+            samples: state.samples.into(),
+            colored: state.colored.into(),
+            diverged_at: (state.diverged != 0).then_some(state.finite_steps.into()),
+        })
+    }
+
+    /// Makes the field and room for `rays` rays a step resident, unless they are.
+    fn upload(&mut self, rays: usize) -> Result<(), Error> {
+        if self.lattices.is_none() {
+            let (field, squares) = (&self.field, &mut self.squares);
+            self.lattices = Some(Lattices::upload(&self.device, field, squares)?);
+            self.samples_per_ray = most_samples(field);
+            self.bindings = None;
+        }
+        let wanted = Capacity::new(&self.device, self.samples_per_ray, rays);
+        if self.batch.as_ref().is_none_or(|batch| !batch.capacity.holds(wanted)) {
+            // Dropped first, so that both need not fit.
+            self.batch = None;
+            self.batch = Some(Batch::new(&self.device, wanted, self.field.mlp.layout())?);
+            self.bindings = None;
+        }
+        if self.bindings.is_none()
+            && let (Some(lattices), Some(batch)) = (&self.lattices, &self.batch)
+        {
+            let buffers = Buffers {
+                march_params: &self.march_params,
+                lattices,
+                network: &self.network,
+                sky: &self.sky,
+                batch,
+                step: &self.step,
+            };
+            self.bindings = Some(Bindings::new(&self.device, &self.kernels, buffers)?);
+        }
+        Ok(())
+    }
+
+    /// What [`Self::upload`] made.
+    fn resident(&self) -> (&Lattices, &Batch, &Bindings) {
+        match (&self.lattices, &self.batch, &self.bindings) {
+            (Some(lattices), Some(batch), Some(bindings)) => (lattices, batch, bindings),
+            _ => unreachable!("a step uploads first"),
+        }
+    }
+
+    /// Adds the gradients of a batch of rays to those of the step.
+    fn submit_batch(&mut self, rays: &[TrainRay], params: layout::TrainParams) -> Result<(), Error> {
+        self.march_rays.clear();
+        self.march_rays.extend(rays.iter().map(march_ray));
+        self.targets.clear();
+        self.targets.extend(rays.iter().map(target));
+        let (device, kernels) = (&self.device, &self.kernels);
+        let (lattices, batch, bindings) = self.resident();
+        let capacity = batch.capacity;
+        let per_ray = |kernel: &Pipeline| kernel.groups(device, rays.len() as u32);
+        let march_groups = per_ray(&kernels.march);
+        let march = layout::MarchParams {
+            ray_count: rays.len() as u32,
+            sample_capacity: capacity.samples_per_ray,
+            groups_x: march_groups.x,
+            ..lattices.params
+        };
+        let params = layout::TrainParams {
+            sample_capacity: capacity.samples_per_ray,
+            ..params
+        };
+        batch.rays.write(device, &self.march_rays);
+        batch.targets.write(device, &self.targets);
+        self.march_params.write(device, &[march]);
+        self.step.params.write(device, &[params]);
+        let free = free_groups(device);
+        let backward = Groups {
+            x: capacity.backward_threads / kernels.backward.workgroup_size(),
+            y: 1,
+        };
+        let mut sequence = Sequence::new(device, "training batch");
+        let of_batch_only = params.first_ray > 0;
+        let counters = if of_batch_only { 8 } else { 16 };
+        sequence.clear(&batch.counters.raw, counters);
+        sequence.run(&kernels.march, &bindings.march, march_groups);
+        sequence.run(&kernels.composite, &bindings.composite, per_ray(&kernels.composite));
+        sequence.run(&kernels.gather, &bindings.gather, free);
+        sequence.run(&kernels.forward, &bindings.forward, free);
+        sequence.run(&kernels.losses, &bindings.losses, per_ray(&kernels.losses));
+        sequence.run(&kernels.backward, &bindings.backward, backward);
+        sequence.run(&kernels.scatter, &bindings.scatter, free);
+        let submission = sequence.submit()?;
+        self.wait_for_last(submission)
+    }
+
+    /// Sums the step's losses and moves all parameters against their gradients.
+    fn submit_update(&mut self, params: layout::TrainParams) -> Result<(), Error> {
+        let (device, kernels) = (&self.device, &self.kernels);
+        let (lattices, _, bindings) = self.resident();
+        self.step.params.write(device, &[params]);
+        let free = free_groups(device);
+        let weights = self.network.weights.len() * backlot_shaders::BLOCK_FLOATS;
+        let per_weight = kernels.step_network.groups(device, weights as u32);
+        let mut sequence = Sequence::new(device, "training update");
+        sequence.run(&kernels.sum, &bindings.sum, Groups { x: 1, y: 1 });
+        sequence.run(&kernels.step_bricks, &bindings.step_bricks, free);
+        sequence.clear(&lattices.touched_bricks.raw, 4);
+        sequence.run(&kernels.step_network, &bindings.step_network, per_weight);
+        self.network.spread(&mut sequence);
+        if params.sky_texel_count > 0 {
+            sequence.run(&kernels.step_sky, &bindings.step_sky, free);
+        }
+        let submission = sequence.submit()?;
+        self.wait_for_last(submission)
+    }
+
+    /// Lets the device be at most one submission behind, or a cancelled run would go on for long.
+    fn wait_for_last(&mut self, submission: wgpu::SubmissionIndex) -> Result<(), Error> {
+        match self.pending.replace(submission) {
+            Some(last) => self.device.wait_for(last),
+            None => Ok(()),
+        }
+    }
+}
+
+/// Workgroups of kernels that take items until there are no more.
+fn free_groups(device: &Device) -> Groups {
+    let x = if device.is_software() { 32 } else { 4096 };
+    Groups { x, y: 1 }
+}

@@ -1,0 +1,232 @@
+//! The table's kernels of a training step, in the order in which they run.
+
+use crate::kernel::{Access, Kernel, kernel_of};
+use crate::kernels::{bind, bind_array};
+use crate::layout::{
+    Exposure, ExposureGradient, GradientPoint, Level, Moments, Ray, RayLoss, RaySample, RaySummary,
+    RayTarget, SkyGrid, SlotSample, StepState, TrainParams,
+};
+use crate::{BLOCK_FLOATS, LAYER_1_BLOCKS, LAYER_2_BLOCKS, LAYER_3_BLOCKS};
+
+/// A 4x4 block of weights.
+type Block = [f32; BLOCK_FLOATS];
+type Quad = [f32; 4];
+
+/// Weights the marched samples and lists those that are coloured; one thread a ray.
+pub const COMPOSITE_SAMPLES: Kernel = Kernel {
+    bindings: &[
+        bind::<TrainParams>("params", Access::Uniform),
+        bind::<RaySummary>("summaries", Access::Read),
+        bind::<RaySample>("samples", Access::Read),
+        bind::<RayTarget>("targets", Access::Read),
+        bind::<f32>("weights", Access::ReadWrite),
+        bind::<u32>("slots", Access::ReadWrite),
+        bind::<SlotSample>("slot_samples", Access::ReadWrite),
+        bind::<u32>("first_points", Access::ReadWrite),
+        bind::<u32>("counters", Access::ReadWrite),
+    ],
+    workgroup_size: 64,
+    ..kernel_of!(
+        "composite_samples",
+        "types",
+        "transcendental",
+        "training",
+        "composite_samples"
+    )
+};
+
+/// Interpolates the features of coloured samples; any number of threads.
+pub const GATHER_FEATURES: Kernel = Kernel {
+    bindings: &[
+        bind::<TrainParams>("params", Access::Uniform),
+        bind::<Level>("levels", Access::Read),
+        bind::<u32>("brick_index", Access::Read),
+        bind::<Quad>("features_a", Access::Read),
+        bind::<Quad>("features_b", Access::Read),
+        bind::<Quad>("features_c", Access::Read),
+        bind::<Ray>("rays", Access::Read),
+        bind::<SlotSample>("slot_samples", Access::Read),
+        bind::<u32>("counters", Access::Read),
+        bind::<Quad>("slot_features", Access::ReadWrite),
+    ],
+    workgroup_size: 64,
+    ..kernel_of!(
+        "gather_features",
+        "types",
+        "lattice",
+        "features",
+        "training",
+        "gather_features"
+    )
+};
+
+/// Colours of coloured samples; any number of threads.
+pub const NETWORK_FORWARD: Kernel = Kernel {
+    bindings: &[
+        bind_array::<Block>("layer_1", LAYER_1_BLOCKS),
+        bind_array::<Block>("layer_2", LAYER_2_BLOCKS),
+        bind_array::<Block>("layer_3", LAYER_3_BLOCKS),
+        bind::<Ray>("rays", Access::Read),
+        bind::<SlotSample>("slot_samples", Access::Read),
+        bind::<Quad>("slot_features", Access::Read),
+        bind::<u32>("counters", Access::Read),
+        bind::<Quad>("slot_colors", Access::ReadWrite),
+    ],
+    workgroup_size: 32,
+    parameters: &["WIDTH_BLOCKS"],
+    ..kernel_of!(
+        "network_forward",
+        "types",
+        "transcendental",
+        "network",
+        "training",
+        "slot_inputs",
+        "network_forward"
+    )
+};
+
+/// Losses of every ray and their gradients by colours, densities, sky and exposures; one thread a ray.
+pub const RAY_LOSSES: Kernel = Kernel {
+    bindings: &[
+        bind::<TrainParams>("params", Access::Uniform),
+        bind::<Ray>("rays", Access::Read),
+        bind::<RayTarget>("targets", Access::Read),
+        bind::<RaySummary>("summaries", Access::Read),
+        bind::<RaySample>("samples", Access::Read),
+        bind::<f32>("weights", Access::Read),
+        bind::<u32>("slots", Access::Read),
+        bind::<u32>("first_points", Access::Read),
+        bind::<Quad>("slot_colors", Access::Read),
+        bind::<SkyGrid>("sky_grids", Access::Read),
+        bind::<f32>("sky_logits", Access::Read),
+        bind::<Exposure>("exposures", Access::Read),
+        bind::<Quad>("slot_color_gradients", Access::ReadWrite),
+        bind::<GradientPoint>("points", Access::ReadWrite),
+        bind::<u32>("sky_gradients", Access::ReadWrite),
+        bind::<RayLoss>("ray_losses_out", Access::ReadWrite),
+        bind::<ExposureGradient>("exposure_gradients", Access::ReadWrite),
+        bind::<StepState>("state", Access::Read),
+    ],
+    workgroup_size: 64,
+    ..kernel_of!(
+        "ray_losses",
+        "types",
+        "transcendental",
+        "training",
+        "losses",
+        "sky",
+        "ray_losses"
+    )
+};
+
+/// Gradients of the colour network by its features and weights; any number of threads, each with weight gradients of its own.
+pub const NETWORK_BACKWARD: Kernel = Kernel {
+    bindings: &[
+        bind_array::<Block>("layer_1", LAYER_1_BLOCKS),
+        bind_array::<Block>("layer_2", LAYER_2_BLOCKS),
+        bind_array::<Block>("layer_3", LAYER_3_BLOCKS),
+        bind::<Ray>("rays", Access::Read),
+        bind::<SlotSample>("slot_samples", Access::Read),
+        bind::<u32>("counters", Access::Read),
+        bind::<Quad>("slot_color_gradients", Access::Read),
+        bind::<Quad>("slot_features", Access::ReadWrite),
+        bind::<Block>("weight_gradients", Access::ReadWrite),
+    ],
+    workgroup_size: 8,
+    parameters: &["WIDTH_BLOCKS"],
+    ..kernel_of!(
+        "network_backward",
+        "types",
+        "transcendental",
+        "network",
+        "training",
+        "slot_inputs",
+        "network_backward"
+    )
+};
+
+/// Adds the gradients of points to the nodes around them; any number of threads.
+pub const SCATTER_GRADIENTS: Kernel = Kernel {
+    bindings: &[
+        bind::<TrainParams>("params", Access::Uniform),
+        bind::<Level>("levels", Access::Read),
+        bind::<u32>("brick_index", Access::Read),
+        bind::<u32>("counters", Access::Read),
+        bind::<GradientPoint>("points", Access::Read),
+        bind::<Quad>("slot_features", Access::Read),
+        bind::<u32>("density_gradients", Access::ReadWrite),
+        bind::<u32>("gradients_a", Access::ReadWrite),
+        bind::<u32>("gradients_b", Access::ReadWrite),
+        bind::<u32>("gradients_c", Access::ReadWrite),
+        bind::<u32>("brick_marks", Access::ReadWrite),
+        bind::<u32>("touched_bricks", Access::ReadWrite),
+    ],
+    workgroup_size: 64,
+    ..kernel_of!(
+        "scatter_gradients",
+        "types",
+        "lattice",
+        "training",
+        "scatter_gradients"
+    )
+};
+
+/// Sums of a step's rays; one workgroup.
+pub const SUM_STEP: Kernel = Kernel {
+    bindings: &[
+        bind::<TrainParams>("params", Access::Uniform),
+        bind::<RayLoss>("ray_losses", Access::Read),
+        bind::<u32>("counters", Access::Read),
+        bind::<StepState>("state", Access::ReadWrite),
+    ],
+    workgroup_size: 256,
+    ..kernel_of!("sum_step", "types", "training", "sum_step")
+};
+
+/// Moves the nodes of touched bricks against their gradients; any number of workgroups.
+pub const STEP_BRICKS: Kernel = Kernel {
+    bindings: &[
+        bind::<TrainParams>("params", Access::Uniform),
+        bind::<StepState>("state", Access::Read),
+        bind::<u32>("touched_bricks", Access::Read),
+        bind::<f32>("density", Access::ReadWrite),
+        bind::<Quad>("features_a", Access::ReadWrite),
+        bind::<Quad>("features_b", Access::ReadWrite),
+        bind::<Quad>("features_c", Access::ReadWrite),
+        bind::<f32>("density_gradients", Access::ReadWrite),
+        bind::<Quad>("gradients_a", Access::ReadWrite),
+        bind::<Quad>("gradients_b", Access::ReadWrite),
+        bind::<Quad>("gradients_c", Access::ReadWrite),
+        bind::<f32>("density_squares", Access::ReadWrite),
+        bind::<f32>("feature_squares", Access::ReadWrite),
+        bind::<u32>("brick_marks", Access::ReadWrite),
+    ],
+    workgroup_size: 64,
+    ..kernel_of!("step_bricks", "types", "training", "step_bricks")
+};
+
+/// Adam's step of the colour network; one thread a weight.
+pub const STEP_NETWORK: Kernel = Kernel {
+    bindings: &[
+        bind::<TrainParams>("params", Access::Uniform),
+        bind::<StepState>("state", Access::Read),
+        bind::<f32>("weight_gradients", Access::ReadWrite),
+        bind::<Moments>("moments", Access::ReadWrite),
+        bind::<f32>("network", Access::ReadWrite),
+    ],
+    workgroup_size: 64,
+    ..kernel_of!("step_network", "types", "training", "step_network")
+};
+
+/// Moves the sky's texels against their gradients; any number of threads.
+pub const STEP_SKY: Kernel = Kernel {
+    bindings: &[
+        bind::<TrainParams>("params", Access::Uniform),
+        bind::<StepState>("state", Access::Read),
+        bind::<f32>("sky_gradients", Access::ReadWrite),
+        bind::<f32>("sky_squares", Access::ReadWrite),
+        bind::<f32>("sky_logits", Access::ReadWrite),
+    ],
+    workgroup_size: 64,
+    ..kernel_of!("step_sky", "types", "training", "step_sky")
+};

@@ -1,0 +1,139 @@
+// Records of a training step that its kernels share.
+
+// A sample without colour.
+const NO_SLOT: u32 = 0xffffffffu;
+
+// Where `counters` counts what a batch of rays has.
+const COLORED_COUNT: u32 = 0u;
+const POINT_COUNT: u32 = 1u;
+// The same over all batches of the step.
+const STEP_COLORED_COUNT: u32 = 2u;
+const STEP_POINT_COUNT: u32 = 3u;
+
+// RayTarget.backdrop_kind: what fills the transmittance that a ray has left.
+const BACKDROP_SKY: u32 = 0u;
+const BACKDROP_SKY_AS_IS: u32 = 1u;
+
+// RayTarget.silhouette.
+const SILHOUETTE_UNKNOWN: u32 = 0u;
+const SILHOUETTE_OPAQUE: u32 = 1u;
+
+struct TrainParams {
+    // Length in metres that raw densities are activated for.
+    base_voxel_m: f32,
+    level_count: u32,
+    sky_grid_count: u32,
+    // Rays of the batch, and the batch's first within the step.
+    ray_count: u32,
+    first_ray: u32,
+    // Rays of the whole step.
+    step_ray_count: u32,
+    // Samples stored for each ray.
+    sample_capacity: u32,
+    step: u32,
+    // Samples of lighter weight take no part in colour.
+    min_weight: f32,
+    sample_color: f32,
+    entropy: f32,
+    depth_scale_m: f32,
+    depth_cap_m: f32,
+    depth_trim_m: f32,
+    // 1: the composited range's absolute error; 0: the expected robust error.
+    depth_is_composited: u32,
+    // 1: the rectified loss as printed; 0: cross-entropy.
+    rectified_is_printed: u32,
+    distortion: f32,
+    distortion_scale_m: f32,
+    density_rate: f32,
+    feature_rate: f32,
+    network_rate: f32,
+    sky_rate: f32,
+    density_variation_rate: f32,
+    feature_variation_rate: f32,
+    // 1: views' exposures apply.
+    has_exposures: u32,
+    // 1: views' poses are learned.
+    learns_poses: u32,
+    // Quantile of the range errors that the next step takes for outliers; 0 keeps depth_trim_m.
+    trim_quantile: f32,
+    sky_texel_count: u32,
+}
+
+// What a ray should have shown. Weights hold the loss's weight and the batch mean's divisor; 0 switches a target off.
+struct RayTarget {
+    color: vec3<f32>,
+    color_weight: f32,
+    backdrop: vec3<f32>,
+    silhouette_weight: f32,
+    range_m: f32,
+    range_weight: f32,
+    backdrop_kind: u32,
+    silhouette: u32,
+    view: u32,
+    // 1: reflected about the x-z plane.
+    mirrored: u32,
+}
+
+// A coloured sample.
+struct SlotSample {
+    ray: u32,
+    // Distance along the ray, metres.
+    t: f32,
+}
+
+// A sample's place and gradient.
+struct GradientPoint {
+    position_m: vec3<f32>,
+    // By the raw density there.
+    raw: f32,
+    // Row of the feature gradients, or NO_SLOT.
+    slot: u32,
+    ray: u32,
+}
+
+// One latitude-longitude grid of the sky.
+struct SkyGrid {
+    width: u32,
+    height: u32,
+    // Its first texel.
+    start: u32,
+}
+
+// What a ray adds to the step's sums.
+struct RayLoss {
+    // Mean squared error; 0 without colour.
+    squared_error: f32,
+    // Weighted sum of the ray's losses.
+    loss: f32,
+    // Absolute error of the composited range, metres; below 0 for none.
+    range_error_m: f32,
+    // 1 for a colour ray.
+    is_color: u32,
+}
+
+// Sums of the step that was summed last.
+struct StepState {
+    squared_error: f32,
+    loss: f32,
+    color_rays: u32,
+    samples: u32,
+    colored: u32,
+    // Range errors above this are outliers for the next step, metres.
+    depth_trim_m: f32,
+    // Steps whose sums were finite. The first one with others ends learning: nothing moves from then on.
+    finite_steps: u32,
+    // 1 once sums were not finite.
+    diverged: u32,
+}
+
+// A view's exposure: color' = exp(log_gain) color + bias; the fourth components mean nothing.
+struct Exposure {
+    log_gain: vec4<f32>,
+    bias: vec4<f32>,
+}
+
+// A ray's gradient by its view's exposure.
+struct ExposureGradient {
+    log_gain: vec4<f32>,
+    bias: vec4<f32>,
+}
