@@ -55,7 +55,11 @@ impl Capacity {
 /// Samples of a ray, at most: each is a shortest step, but for the last.
 pub(super) fn most_samples(field: &Field) -> u32 {
     let (low, high) = field.bounds();
-    let steps = field.occupancy().steps_m().iter().filter(|step| **step > 0.0);
+    let steps = field
+        .occupancy()
+        .steps_m()
+        .iter()
+        .filter(|step| **step > 0.0);
     let shortest_m = steps.copied().fold(f32::INFINITY, f32::min);
     (((high - low).length() / shortest_m) as u32 + 2).min(SAMPLES_PER_RAY)
 }
@@ -118,12 +122,7 @@ impl Batch {
             weight_gradients: Buffer::zeroed(device, "weight gradients", blocks, storage)?,
             counters: Buffer::zeroed(device, "counters", 4, storage)?,
             ray_losses: Buffer::zeroed(device, "ray losses", step_rays, storage)?,
-            exposure_gradients: Buffer::zeroed(
-                device,
-                "exposure gradients",
-                step_rays,
-                storage,
-            )?,
+            exposure_gradients: Buffer::zeroed(device, "exposure gradients", step_rays, storage)?,
         })
     }
 }

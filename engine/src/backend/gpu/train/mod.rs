@@ -162,7 +162,10 @@ impl GpuTrainer {
         let mut params = step_params(&self.field, losses, rates, self.steps);
         params.step_ray_count = rays.len() as u32;
         params.trim_quantile = trim_quantile as f32;
-        let batch = self.batch.as_ref().map_or(1, |batch| batch.capacity.rays as usize);
+        let batch = self
+            .batch
+            .as_ref()
+            .map_or(1, |batch| batch.capacity.rays as usize);
         for (number, rays) in rays.chunks(batch).enumerate() {
             if cancelled() {
                 return Err(crate::Error::Cancelled);
@@ -201,7 +204,11 @@ impl GpuTrainer {
             self.bindings = None;
         }
         let wanted = Capacity::new(&self.device, self.samples_per_ray, rays);
-        if self.batch.as_ref().is_none_or(|batch| !batch.capacity.holds(wanted)) {
+        if self
+            .batch
+            .as_ref()
+            .is_none_or(|batch| !batch.capacity.holds(wanted))
+        {
             // Dropped first, so that both need not fit.
             self.batch = None;
             self.batch = Some(Batch::new(&self.device, wanted, self.field.mlp.layout())?);
@@ -232,7 +239,11 @@ impl GpuTrainer {
     }
 
     /// Adds the gradients of a batch of rays to those of the step.
-    fn submit_batch(&mut self, rays: &[TrainRay], params: layout::TrainParams) -> Result<(), Error> {
+    fn submit_batch(
+        &mut self,
+        rays: &[TrainRay],
+        params: layout::TrainParams,
+    ) -> Result<(), Error> {
         self.march_rays.clear();
         self.march_rays.extend(rays.iter().map(march_ray));
         self.targets.clear();
@@ -266,7 +277,11 @@ impl GpuTrainer {
         let counters = if of_batch_only { 8 } else { 16 };
         sequence.clear(&batch.counters.raw, counters);
         sequence.run(&kernels.march, &bindings.march, march_groups);
-        sequence.run(&kernels.composite, &bindings.composite, per_ray(&kernels.composite));
+        sequence.run(
+            &kernels.composite,
+            &bindings.composite,
+            per_ray(&kernels.composite),
+        );
         sequence.run(&kernels.gather, &bindings.gather, free);
         sequence.run(&kernels.forward, &bindings.forward, free);
         sequence.run(&kernels.losses, &bindings.losses, per_ray(&kernels.losses));

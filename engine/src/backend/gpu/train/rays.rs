@@ -3,9 +3,7 @@
 use backlot_shaders::layout;
 
 use crate::field::Field;
-use crate::train::ray::{
-    Backdrop, DepthForm, Rates, RayLosses, Rectified, Silhouette, TrainRay,
-};
+use crate::train::ray::{Backdrop, DepthForm, Rates, RayLosses, Rectified, Silhouette, TrainRay};
 
 /// Optical depth at which a ray ends: transmittance 1e-3, as in DVGO.
 const STOP_TAU: f32 = 6.9;
