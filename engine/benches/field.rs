@@ -5,6 +5,7 @@
 use std::hint::black_box;
 
 use backlot_engine::asset::{Asset, AssetHeader, AssetKind, ColorSpace, FORMAT_VERSION, Usage};
+use backlot_engine::backend::cpu::CpuBackend;
 use backlot_engine::camera::{Camera, Distortion, Rigid};
 use backlot_engine::class::ObjectClass;
 use backlot_engine::field::{ColorScratch, Field};
@@ -140,7 +141,7 @@ fn train(c: &mut Criterion, input: &BackgroundInput) {
     group.sample_size(10);
     group.throughput(Throughput::Elements(rays));
     group.bench_function("rays, all threads, from preparing to evaluated", |b| {
-        b.iter(|| train_background(input, &preset, 1, &NoControl).expect("trains"));
+        b.iter(|| train_background(input, &preset, 1, &CpuBackend, &NoControl).expect("trains"));
     });
     group.finish();
 }
@@ -182,7 +183,7 @@ fn stored_form(c: &mut Criterion, field: Field) {
 
 fn all(c: &mut Criterion) {
     let input = street();
-    let field = train_background(&input, &preset(STEPS), 1, &NoControl)
+    let field = train_background(&input, &preset(STEPS), 1, &CpuBackend, &NoControl)
         .expect("trains")
         .field;
     march(c, &field);

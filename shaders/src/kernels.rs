@@ -4,8 +4,8 @@ use crate::kernel::{Access, Binding, Kernel, kernel_of};
 use crate::layout::{Block, Level, MarchParams, Ray, RaySample, RaySummary};
 
 pub use crate::training::{
-    COMPOSITE_SAMPLES, GATHER_FEATURES, NETWORK_BACKWARD, NETWORK_FORWARD, RAY_LOSSES,
-    SCATTER_GRADIENTS, STEP_BRICKS, STEP_NETWORK, STEP_SKY, SUM_STEP,
+    COMPOSITE_SAMPLES, GATHER_INPUTS, LAYER_GRADIENTS, NETWORK_BACKWARD, NETWORK_FORWARD,
+    RAY_LOSSES, SCATTER_GRADIENTS, STEP_BRICKS, STEP_NETWORK, STEP_SKY, SUM_STEP,
 };
 
 /// Marches rays through a density pyramid; one thread a ray.
@@ -38,10 +38,11 @@ pub const MARCH_DENSITY: Kernel = Kernel {
 pub const ALL: &[Kernel] = &[
     MARCH_DENSITY,
     COMPOSITE_SAMPLES,
-    GATHER_FEATURES,
+    GATHER_INPUTS,
     NETWORK_FORWARD,
     RAY_LOSSES,
     NETWORK_BACKWARD,
+    LAYER_GRADIENTS,
     SCATTER_GRADIENTS,
     SUM_STEP,
     STEP_BRICKS,

@@ -250,3 +250,19 @@ pub struct Moments {
     pub mean: f32,
     pub square: f32,
 }
+
+/// One layer of the colour network, for the gradient of its weights.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
+#[repr(C)]
+pub struct LayerParams {
+    /// Quads of inputs and of outputs of a sample.
+    pub input_quads: u32,
+    pub output_quads: u32,
+    /// Shares that the samples are divided into, each with weight gradients of its own.
+    pub shares: u32,
+    /// Blocks of all weights, and where the layer's begin.
+    pub weight_blocks: u32,
+    pub first_block: u32,
+    /// Where the biases' blocks begin; 0 for a layer whose bias is the weight of an input.
+    pub first_bias: u32,
+}

@@ -3,8 +3,8 @@
 use crate::kernel::{Access, Kernel, kernel_of};
 use crate::kernels::{bind, bind_array};
 use crate::layout::{
-    Exposure, ExposureGradient, GradientPoint, Level, Moments, Ray, RayLoss, RaySample, RaySummary,
-    RayTarget, SkyGrid, SlotSample, StepState, TrainParams,
+    Exposure, ExposureGradient, GradientPoint, LayerParams, Level, Moments, Ray, RayLoss,
+    RaySample, RaySummary, RayTarget, SkyGrid, SlotSample, StepState, TrainParams,
 };
 use crate::{BLOCK_FLOATS, LAYER_1_BLOCKS, LAYER_2_BLOCKS, LAYER_3_BLOCKS};
 
@@ -35,8 +35,8 @@ pub const COMPOSITE_SAMPLES: Kernel = Kernel {
     )
 };
 
-/// Interpolates the features of coloured samples; any number of threads.
-pub const GATHER_FEATURES: Kernel = Kernel {
+/// The colour network's inputs of coloured samples; any number of threads.
+pub const GATHER_INPUTS: Kernel = Kernel {
     bindings: &[
         bind::<TrainParams>("params", Access::Uniform),
         bind::<Level>("levels", Access::Read),
@@ -47,16 +47,17 @@ pub const GATHER_FEATURES: Kernel = Kernel {
         bind::<Ray>("rays", Access::Read),
         bind::<SlotSample>("slot_samples", Access::Read),
         bind::<u32>("counters", Access::Read),
-        bind::<Quad>("slot_features", Access::ReadWrite),
+        bind::<Quad>("slot_inputs", Access::ReadWrite),
     ],
     workgroup_size: 64,
     ..kernel_of!(
-        "gather_features",
+        "gather_inputs",
         "types",
         "lattice",
         "features",
+        "view_inputs",
         "training",
-        "gather_features"
+        "gather_inputs"
     )
 };
 
@@ -66,13 +67,13 @@ pub const NETWORK_FORWARD: Kernel = Kernel {
         bind_array::<Block>("layer_1", LAYER_1_BLOCKS),
         bind_array::<Block>("layer_2", LAYER_2_BLOCKS),
         bind_array::<Block>("layer_3", LAYER_3_BLOCKS),
-        bind::<Ray>("rays", Access::Read),
-        bind::<SlotSample>("slot_samples", Access::Read),
-        bind::<Quad>("slot_features", Access::Read),
         bind::<u32>("counters", Access::Read),
+        bind::<Quad>("slot_inputs", Access::Read),
+        bind::<Quad>("hidden_a", Access::ReadWrite),
+        bind::<Quad>("hidden_b", Access::ReadWrite),
         bind::<Quad>("slot_colors", Access::ReadWrite),
     ],
-    workgroup_size: 32,
+    workgroup_size: 64,
     parameters: &["WIDTH_BLOCKS"],
     ..kernel_of!(
         "network_forward",
@@ -80,7 +81,6 @@ pub const NETWORK_FORWARD: Kernel = Kernel {
         "transcendental",
         "network",
         "training",
-        "slot_inputs",
         "network_forward"
     )
 };
@@ -119,20 +119,22 @@ pub const RAY_LOSSES: Kernel = Kernel {
     )
 };
 
-/// Gradients of the colour network by its features and weights; any number of threads, each with weight gradients of its own.
+/// Gradients by the colour network's neurons and features; any number of threads.
 pub const NETWORK_BACKWARD: Kernel = Kernel {
     bindings: &[
         bind_array::<Block>("layer_1", LAYER_1_BLOCKS),
         bind_array::<Block>("layer_2", LAYER_2_BLOCKS),
         bind_array::<Block>("layer_3", LAYER_3_BLOCKS),
-        bind::<Ray>("rays", Access::Read),
-        bind::<SlotSample>("slot_samples", Access::Read),
         bind::<u32>("counters", Access::Read),
-        bind::<Quad>("slot_color_gradients", Access::Read),
-        bind::<Quad>("slot_features", Access::ReadWrite),
-        bind::<Block>("weight_gradients", Access::ReadWrite),
+        bind::<Quad>("hidden_a", Access::Read),
+        bind::<Quad>("hidden_b", Access::Read),
+        bind::<Quad>("slot_colors", Access::Read),
+        bind::<Quad>("slot_color_gradients", Access::ReadWrite),
+        bind::<Quad>("gradients_a", Access::ReadWrite),
+        bind::<Quad>("gradients_b", Access::ReadWrite),
+        bind::<Quad>("slot_gradients", Access::ReadWrite),
     ],
-    workgroup_size: 8,
+    workgroup_size: 64,
     parameters: &["WIDTH_BLOCKS"],
     ..kernel_of!(
         "network_backward",
@@ -140,9 +142,21 @@ pub const NETWORK_BACKWARD: Kernel = Kernel {
         "transcendental",
         "network",
         "training",
-        "slot_inputs",
         "network_backward"
     )
+};
+
+/// Gradient of one layer's weights; one thread a tile of 16 x 16 weights and a share of the samples.
+pub const LAYER_GRADIENTS: Kernel = Kernel {
+    bindings: &[
+        bind::<LayerParams>("layer", Access::Uniform),
+        bind::<u32>("counters", Access::Read),
+        bind::<Quad>("layer_inputs", Access::Read),
+        bind::<Quad>("output_gradients", Access::Read),
+        bind::<Block>("weight_gradients", Access::ReadWrite),
+    ],
+    workgroup_size: 8,
+    ..kernel_of!("layer_gradients", "types", "training", "layer_gradients")
 };
 
 /// Adds the gradients of points to the nodes around them; any number of threads.
@@ -153,7 +167,7 @@ pub const SCATTER_GRADIENTS: Kernel = Kernel {
         bind::<u32>("brick_index", Access::Read),
         bind::<u32>("counters", Access::Read),
         bind::<GradientPoint>("points", Access::Read),
-        bind::<Quad>("slot_features", Access::Read),
+        bind::<Quad>("slot_gradients", Access::Read),
         bind::<u32>("density_gradients", Access::ReadWrite),
         bind::<u32>("gradients_a", Access::ReadWrite),
         bind::<u32>("gradients_b", Access::ReadWrite),

@@ -5,12 +5,12 @@ use std::mem::offset_of;
 
 use backlot_shaders::kernels;
 use backlot_shaders::layout::{
-    Block, Exposure, ExposureGradient, GradientPoint, Level, MarchParams, Moments, Ray, RayLoss,
-    RaySample, RaySummary, RayTarget, SkyGrid, SlotSample, StepState, TrainParams,
+    Block, Exposure, ExposureGradient, GradientPoint, LayerParams, Level, MarchParams, Moments,
+    Ray, RayLoss, RaySample, RaySummary, RayTarget, SkyGrid, SlotSample, StepState, TrainParams,
 };
 
 /// Structs that never leave a kernel, so they have no mirror.
-const INTERNAL: [&str; 8] = [
+const INTERNAL: [&str; 9] = [
     "Corners",
     "Features",
     "Loss",
@@ -18,6 +18,7 @@ const INTERNAL: [&str; 8] = [
     "SkyTexels",
     "Slopes",
     "Space",
+    "TileRow",
     "Totals",
 ];
 /// What naga declares for compare-and-exchange.
@@ -117,6 +118,14 @@ fn mirrors() -> BTreeMap<String, Layout> {
         mirror!(Exposure { log_gain, bias }),
         mirror!(ExposureGradient { log_gain, bias }),
         mirror!(Moments { mean, square }),
+        mirror!(LayerParams {
+            input_quads,
+            output_quads,
+            shares,
+            weight_blocks,
+            first_block,
+            first_bias
+        }),
     ])
 }
 

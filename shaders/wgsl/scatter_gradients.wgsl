@@ -8,7 +8,7 @@ override WORKGROUP_SIZE: u32;
 @group(0) @binding(3) var<storage, read> counters: array<u32>;
 @group(0) @binding(4) var<storage, read> points: array<GradientPoint>;
 // Gradients by the features of coloured samples.
-@group(0) @binding(5) var<storage, read> slot_features: array<vec4<f32>>;
+@group(0) @binding(5) var<storage, read> slot_gradients: array<vec4<f32>>;
 @group(0) @binding(6) var<storage, read_write> density_gradients: array<atomic<u32>>;
 @group(0) @binding(7) var<storage, read_write> gradients_a: array<atomic<u32>>;
 @group(0) @binding(8) var<storage, read_write> gradients_b: array<atomic<u32>>;
@@ -48,9 +48,9 @@ fn scatter(point: GradientPoint, corners: Corners) {
         let weight = corners.weights[corner];
         add_to_density(node, weight * point.raw);
         if point.slot != NO_SLOT {
-            let a = slot_features[3u * point.slot] * weight;
-            let b = slot_features[3u * point.slot + 1u] * weight;
-            let c = slot_features[3u * point.slot + 2u] * weight;
+            let a = slot_gradients[3u * point.slot] * weight;
+            let b = slot_gradients[3u * point.slot + 1u] * weight;
+            let c = slot_gradients[3u * point.slot + 2u] * weight;
             for (var f = 0u; f < 4u; f++) {
                 add_to_a(4u * node + f, a[f]);
                 add_to_b(4u * node + f, b[f]);

@@ -137,3 +137,17 @@ struct ExposureGradient {
     log_gain: vec4<f32>,
     bias: vec4<f32>,
 }
+
+// One layer of the colour network, for the gradient of its weights.
+struct LayerParams {
+    // Quads of inputs and of outputs of a sample.
+    input_quads: u32,
+    output_quads: u32,
+    // Shares that the samples are divided into, each with weight gradients of its own.
+    shares: u32,
+    // Blocks of all weights, and where the layer's begin.
+    weight_blocks: u32,
+    first_block: u32,
+    // Where the biases' blocks begin; 0 for a layer whose bias is the weight of an input.
+    first_bias: u32,
+}

@@ -12,6 +12,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, ensure};
 use backlot_engine::Field;
+use backlot_engine::backend::{self, DeviceChoice};
 use backlot_engine::train::{
     BoundedInput, DvgoRecipe, Progress, TrainControl, TrainPreset, Trained, frustum_box, seen_box,
     train_bounded, train_dvgo,
@@ -41,6 +42,9 @@ struct Arguments {
     /// Threads to train and render with; by default one per processor.
     #[arg(long, default_value_t = 0)]
     threads: usize,
+    /// Where preset fast trains: auto, cpu, gpu, gpu:NUMBER or gpu:NAME. Recipe dvgo trains on the processor.
+    #[arg(long, default_value_t = DeviceChoice::Auto)]
+    device: DeviceChoice,
     #[arg(long, default_value_t = 0)]
     seed: u64,
     /// Where to write the figures.
@@ -128,7 +132,9 @@ fn train(arguments: &Arguments, views: Vec<TrainView>, watch: &Watch<'_>) -> Res
     let trained = match arguments.preset {
         Preset::Fast => {
             let preset = fast(arguments, &input.views, (high_m - low_m).max_element());
-            train_bounded(&input, &preset, seed, watch)?
+            let backend = backend::open(&arguments.device, 0)?;
+            eprintln!("training on {}", backend.device());
+            train_bounded(&input, &preset, seed, backend.as_ref(), watch)?
         }
         Preset::Dvgo => {
             let recipe = arguments.iters.map(DvgoRecipe::scaled);
@@ -185,14 +191,18 @@ impl<'a> Watch<'a> {
 impl TrainControl for Watch<'_> {
     fn progress(&self, _: Progress) {}
 
-    fn inspect(&self, progress: Progress, field: &Field) {
+    fn looks(&self, progress: Progress) -> bool {
         let train_s = self.seconds();
         let mut state = self.state.lock().expect("no thread panicked");
         state.steps = progress.step;
         // The finished field is looked at once, by the caller.
-        if train_s < state.next_s || progress.step == progress.step_count {
-            return;
-        }
+        train_s >= state.next_s && progress.step < progress.step_count
+    }
+
+    fn inspect(&self, progress: Progress, field: &Field) {
+        let train_s = self.seconds();
+        let mut state = self.state.lock().expect("no thread panicked");
+        state.steps = progress.step;
         let looking = Instant::now();
         let psnr_test = test_figures(field, self.views, WHITE).psnr;
         eprintln!(

@@ -12,10 +12,15 @@ mod choice;
 
 mod marched;
 
+mod trainer;
+
 pub mod cpu;
 
 #[cfg(feature = "gpu")]
 pub mod gpu;
+
+#[cfg(all(test, feature = "gpu"))]
+mod stages;
 
 #[cfg(test)]
 mod test_scene;
@@ -23,6 +28,7 @@ mod test_scene;
 pub use adapter::{AdapterKind, AdapterRecord, adapters};
 pub use choice::{AdapterChoice, DeviceChoice, open};
 pub use marched::{Marched, RaySummary};
+pub use trainer::{StepReport, Trainer};
 
 use std::fmt::Debug;
 use std::sync::Arc;
@@ -44,6 +50,12 @@ pub trait Backend: Send + Sync + Debug {
     /// # Errors
     /// [`crate::Error::OutOfMemory`] with needed and available bytes where it does not fit, [`crate::Error::Device`] if the device is lost.
     fn load(&self, field: &Arc<Field>) -> Result<Box<dyn LoadedField>>;
+
+    /// A trainer that takes its steps here.
+    ///
+    /// # Errors
+    /// [`crate::Error::OutOfMemory`] where the field with its optimiser state does not fit, or the device's.
+    fn trainer(&self, field: Field) -> Result<Trainer>;
 
     /// Renders a scene in one volume pass. The result does not depend on the order of `scene.objects`.
     ///

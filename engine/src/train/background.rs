@@ -14,6 +14,7 @@ use super::sampler::Sampler;
 use super::seed::{CELL_VOXELS, CellSet, seed_density, store_around_points};
 use super::survey::survey;
 use super::validate::{require_foreground, validate_points, validate_preset, validate_views};
+use crate::backend::Backend;
 use crate::field::{ColorMlp, DensityActivation, Field, Lattice, Occupancy, SkyGrid, SkyMap};
 use crate::scene::Draws;
 use crate::view::Split;
@@ -31,7 +32,7 @@ const CUBE_M: f32 = 0.8;
 /// Headings x elevations of the sky's grids: 5.6 degrees for what was never seen, 0.35 for what lies beyond the box.
 const SKY_GRIDS: [(u32, u32); 2] = [(64, 32), (1024, 512)];
 
-/// Trains a background field on the views whose split is `Train`, and measures it on the held-out ones.
+/// Trains a background field on the views whose split is `Train`, on a backend's device, and measures it on the held-out ones.
 ///
 /// # Errors
 /// [`Error::Invalid`] naming frame and field before any step, [`Error::OutOfMemory`] if the coarse levels alone exceed the
@@ -40,6 +41,7 @@ pub fn train_background(
     input: &BackgroundInput,
     preset: &TrainPreset,
     seed: u64,
+    backend: &dyn Backend,
     control: &dyn TrainControl,
 ) -> Result<Trained> {
     validate_preset("background", preset)?;
@@ -67,7 +69,7 @@ pub fn train_background(
     };
     let field = prepare(input, preset, seed, &allowed)?;
     let sampler = Sampler::whole_images(&input.views, seed);
-    let (field, run) = fit(field, &sampler, preset, &allowed, control)?;
+    let (field, run) = fit(field, &sampler, preset, &allowed, backend, control)?;
     Ok(measured(field, run, &input.views, None, control))
 }
 

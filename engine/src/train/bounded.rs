@@ -10,6 +10,7 @@ use super::preset::TrainPreset;
 use super::sampler::Sampler;
 use super::survey::survey;
 use super::validate::{require_memory, validate_bounded, validate_preset};
+use crate::backend::Backend;
 use crate::camera::Camera;
 use crate::field::Field;
 use crate::view::{Split, TrainView};
@@ -80,7 +81,7 @@ pub(super) fn nearest_to_axes(views: &[&TrainView]) -> DVec3 {
     damped.inverse() * b
 }
 
-/// Trains a field on the views whose split is `Train`, and measures it on the held-out ones.
+/// Trains a field on the views whose split is `Train`, on a backend's device, and measures it on the held-out ones.
 ///
 /// # Errors
 /// [`Error::Invalid`] naming frame and field before any step, [`Error::OutOfMemory`], [`Error::Diverged`] and
@@ -89,6 +90,7 @@ pub fn train_bounded(
     input: &BoundedInput,
     preset: &TrainPreset,
     seed: u64,
+    backend: &dyn Backend,
     control: &dyn TrainControl,
 ) -> Result<Trained> {
     validate_preset("scene", preset)?;
@@ -101,7 +103,7 @@ pub fn train_bounded(
     });
     let sampler = Sampler::before(&input.views, input.backdrop, seed);
     let field = prepare(input, preset, seed)?;
-    let (field, run) = fit(field, &sampler, preset, &|_, _| true, control)?;
+    let (field, run) = fit(field, &sampler, preset, &|_, _| true, backend, control)?;
     Ok(measured(
         field,
         run,

@@ -24,7 +24,12 @@ pub struct Progress {
 pub trait TrainControl: Sync {
     fn progress(&self, progress: Progress);
 
-    /// Shows the field after every step, to be looked at and not changed; what this takes is for [`Self::seconds`] to leave out.
+    /// Whether [`Self::inspect`] is wanted after this step: on a GPU the field must be fetched for it.
+    fn looks(&self, _progress: Progress) -> bool {
+        false
+    }
+
+    /// Shows the field after a step, to be looked at and not changed; what this takes is for [`Self::seconds`] to leave out.
     fn inspect(&self, _progress: Progress, _field: &Field) {}
 
     /// Asked before every step; `true` ends the run with [`crate::Error::Cancelled`].

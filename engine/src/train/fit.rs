@@ -4,17 +4,15 @@ use super::control::{Progress, Stage, TrainControl};
 use super::evaluate::evaluate;
 use super::input::Trained;
 use super::preset::TrainPreset;
-use super::ray::{Rates, StepSums, TrainRay};
+use super::ray::{Rates, TrainRay};
 use super::refine::refine;
 use super::sampler::{RayMix, Sampler};
-use crate::backend::cpu::CpuTrainer;
+use crate::backend::Backend;
 use crate::field::Field;
 use crate::quality::psnr_db;
 use crate::view::TrainView;
 use crate::{Error, Result};
 
-/// Depth rays whose error exceeds this quantile of the previous step's are outliers.
-const DEPTH_TRIM_QUANTILE: f64 = 0.95;
 /// Weight of the newest step in the running training error.
 const ERROR_MOMENTUM: f64 = 0.05;
 
@@ -34,9 +32,10 @@ pub(super) fn fit(
     sampler: &Sampler<'_>,
     preset: &TrainPreset,
     allowed: &(dyn Fn(glam::Vec3, usize) -> bool + Sync),
+    backend: &dyn Backend,
     control: &dyn TrainControl,
 ) -> Result<(Field, Run)> {
-    let mut trainer = CpuTrainer::fastest(field);
+    let mut trainer = backend.trainer(field)?;
     let mut run = Run::default();
     let mut rays: Vec<TrainRay> = Vec::new();
     let mut losses = preset.losses;
@@ -62,7 +61,7 @@ pub(super) fn fit(
         }
         if preset.surveys.due(step, done) > surveyed {
             surveyed += 1;
-            run.warnings.extend(refine(&mut trainer, preset, allowed));
+            run.warnings.extend(refine(&mut trainer, preset, allowed)?);
         }
         let mix = RayMix {
             pixel_rays,
@@ -75,17 +74,16 @@ pub(super) fn fit(
             .unwrap_or(preset.losses.min_weight);
         sampler.draw(step, &mix, &mut rays);
         let passes = run.rays as f64 / sampler.pixel_count() as f64;
-        let sums = trainer.step(&rays, &losses, rates_at(preset, done, passes));
-        if let Some(quantity) = diverged(sums) {
-            return Err(Error::Diverged { step, quantity });
-        }
-        if sums.color_rays > 0 {
-            let now = sums.squared_error / sums.color_rays as f64;
-            error = Some(error.map_or(now, |e| e + ERROR_MOMENTUM * (now - e)));
-        }
-        losses.depth_trim_m = quantile(&sums.range_errors_m, DEPTH_TRIM_QUANTILE);
+        let rates = rates_at(preset, done, passes);
+        let report = trainer.step(&rays, &losses, rates, &|| control.cancelled())?;
         run.rays += rays.len() as u64;
-        pixel_rays = affordable_rays(preset, sums.colored, rays.len() as u64);
+        if let Some(report) = report {
+            if report.color_rays > 0 {
+                let now = report.squared_error / report.color_rays as f64;
+                error = Some(error.map_or(now, |e| e + ERROR_MOMENTUM * (now - e)));
+            }
+            pixel_rays = affordable_rays(preset, report.colored, rays.len() as u64);
+        }
         let progress = Progress {
             stage: Stage::Train,
             step: step + 1,
@@ -93,13 +91,16 @@ pub(super) fn fit(
             psnr_train: error.map(psnr_db),
         };
         control.progress(progress);
-        control.inspect(progress, trainer.field());
+        if control.looks(progress) {
+            trainer.fetch()?;
+            control.inspect(progress, trainer.field());
+        }
     }
     run.warnings
-        .extend(refine(&mut trainer, preset, &|_, _| false));
+        .extend(refine(&mut trainer, preset, &|_, _| false)?);
     run.seconds = control.seconds() - start_s;
     run.psnr_train = error.map(psnr_db);
-    let field = trainer.into_field();
+    let field = trainer.into_field()?;
     if let Some(quantity) = not_finite(&field) {
         return Err(Error::Diverged {
             step: steps,
@@ -107,15 +108,6 @@ pub(super) fn fit(
         });
     }
     Ok((field, run))
-}
-
-/// What of a step's sums is not finite, if anything.
-fn diverged(sums: &StepSums) -> Option<&'static str> {
-    match (sums.loss.is_finite(), sums.squared_error.is_finite()) {
-        (true, _) => None,
-        (false, true) => Some("loss"),
-        (false, false) => Some("colour"),
-    }
 }
 
 /// The parameters of a field that are not all finite, if any: a loss may stay finite beside a voxel that no ray weighs.
@@ -181,14 +173,6 @@ fn rates_at(preset: &TrainPreset, done: f64, passes: f64) -> Rates {
         rates.pose_m = 0.0;
     }
     rates
-}
-
-/// The value below which the share `q` of `values` lies; infinite for none.
-fn quantile(values: &[f32], q: f64) -> f32 {
-    let mut sorted = values.to_vec();
-    sorted.sort_by(f32::total_cmp);
-    let at = (values.len() as f64 * q) as usize;
-    sorted.get(at).copied().unwrap_or(f32::INFINITY)
 }
 
 #[cfg(test)]

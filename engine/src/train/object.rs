@@ -13,6 +13,7 @@ use super::survey::survey;
 use super::validate::{
     require_foreground, require_memory, validate_points, validate_preset, validate_views,
 };
+use crate::backend::Backend;
 use crate::field::Field;
 use crate::{Error, Result};
 
@@ -30,7 +31,7 @@ pub fn padded_half_m(size_m: DVec3) -> DVec3 {
     size_m / 2.0 + (size_m * PADDING).max(DVec3::splat(PADDING_MIN_M))
 }
 
-/// Trains an object field on the views whose split is `Train`, and measures it on the held-out ones.
+/// Trains an object field on the views whose split is `Train`, on a backend's device, and measures it on the held-out ones.
 ///
 /// # Errors
 /// [`Error::Invalid`] naming frame and field before any step, also if no camera sees the cuboid;
@@ -39,6 +40,7 @@ pub fn train_object(
     input: &ObjectInput,
     preset: &TrainPreset,
     seed: u64,
+    backend: &dyn Backend,
     control: &dyn TrainControl,
 ) -> Result<Trained> {
     validate_preset("object", preset)?;
@@ -70,7 +72,7 @@ pub fn train_object(
     let mut preset = preset.clone();
     preset.mix.mirror_share = if input.symmetric { MIRROR_SHARE } else { 0.0 };
     let field = prepare(input, half_m, &preset, seed)?;
-    let (field, run) = fit(field, &sampler, &preset, &|_, _| true, control)?;
+    let (field, run) = fit(field, &sampler, &preset, &|_, _| true, backend, control)?;
     Ok(measured(field, run, &input.views, None, control))
 }
 

@@ -5,7 +5,8 @@ use rayon::prelude::*;
 
 use super::preset::TrainPreset;
 use super::survey::{dilate, is_dense, survey};
-use crate::backend::cpu::CpuTrainer;
+use crate::Result;
+use crate::backend::Trainer;
 use crate::field::occupancy::{BLOCK_SIDE, Space};
 use crate::field::{BRICK_NODES, FEATURES, Field, Lattice, NULL_BRICK, Occupancy};
 
@@ -18,11 +19,15 @@ pub(super) const BRICK_BYTES: u64 = BRICK_NODES as u64 * NODE_BYTES;
 /// Surveys the field, drops bricks no occupied cell reads, and stores bricks at occupied cells wherever `allowed`.
 ///
 /// Returns a warning if the memory bound kept bricks from being stored.
+///
+/// # Errors
+/// The device's.
 pub(super) fn refine(
-    trainer: &mut CpuTrainer,
+    trainer: &mut Trainer,
     preset: &TrainPreset,
     allowed: &(dyn Fn(Vec3, usize) -> bool + Sync),
-) -> Option<String> {
+) -> Result<Option<String>> {
+    trainer.fetch()?;
     let field = trainer.field();
     let old = &field.occupancy;
     let alpha = preset.survey_alpha;
@@ -59,12 +64,12 @@ pub(super) fn refine(
         !matches!(grown.at(centre), Space::Empty { .. })
     });
     trainer.field_mut().occupancy = stepped;
-    full.then(|| {
+    Ok(full.then(|| {
         format!(
             "the memory bound of {} MiB kept fine voxels from being stored everywhere",
             preset.memory_bytes >> 20
         )
-    })
+    }))
 }
 
 /// Which brick positions hold nodes that occupied cells interpolate.

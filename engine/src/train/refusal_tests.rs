@@ -5,6 +5,7 @@ use glam::DQuat;
 use super::tests::{BOX_HALF, drive, look_at, orbit, quick};
 use super::*;
 use crate::Error;
+use crate::backend::cpu::CpuBackend;
 use crate::camera::Distortion;
 use crate::view::{PixelLabel, Split};
 
@@ -12,7 +13,7 @@ fn refusal_of(break_it: impl FnOnce(&mut BackgroundInput)) -> String {
     let mut input = drive();
     break_it(&mut input);
     let preset = quick(TrainPreset::background(Budget::Quick), 1);
-    match train_background(&input, &preset, 1, &NoControl) {
+    match train_background(&input, &preset, 1, &CpuBackend, &NoControl) {
         Err(error @ Error::Invalid { .. }) => error.to_string(),
         other => panic!("not refused: {:?}", other.map(|t| t.quality)),
     }
@@ -80,7 +81,7 @@ fn a_box_that_no_camera_sees_is_refused() {
         view.local_from_camera = look_at(eye, eye * 10.0);
     }
     let preset = quick(TrainPreset::object(Budget::Quick), 1);
-    let error = train_object(&input, &preset, 1, &NoControl).unwrap_err();
+    let error = train_object(&input, &preset, 1, &CpuBackend, &NoControl).unwrap_err();
     assert!(error.to_string().contains("no training camera"), "{error}");
 }
 
@@ -88,7 +89,7 @@ fn a_box_that_no_camera_sees_is_refused() {
 fn a_field_over_the_memory_bound_is_refused_with_both_figures() {
     let mut preset = quick(TrainPreset::object(Budget::Quick), 1);
     preset.memory_bytes = 10_000;
-    let error = train_object(&orbit(true, false), &preset, 1, &NoControl).unwrap_err();
+    let error = train_object(&orbit(true, false), &preset, 1, &CpuBackend, &NoControl).unwrap_err();
     assert!(
         matches!(
             error,
@@ -116,7 +117,8 @@ fn a_preset_that_builds_no_field_is_refused_by_its_entry() {
     for (entry, break_it) in cases {
         let mut preset = quick(TrainPreset::object(Budget::Quick), 1);
         break_it(&mut preset);
-        let error = train_object(&orbit(true, false), &preset, 1, &NoControl).unwrap_err();
+        let error =
+            train_object(&orbit(true, false), &preset, 1, &CpuBackend, &NoControl).unwrap_err();
         assert!(matches!(error, Error::Invalid { .. }), "{error}");
         assert!(error.to_string().contains(entry), "{error}");
     }
@@ -157,7 +159,13 @@ fn bad_bounded_input_is_refused_by_frame_and_field() {
     for (place, field, break_it) in cases {
         let mut input = bounded();
         break_it(&mut input);
-        let fast = train_bounded(&input, &TrainPreset::fast(3.0, 0.05), 1, &NoControl);
+        let fast = train_bounded(
+            &input,
+            &TrainPreset::fast(3.0, 0.05),
+            1,
+            &CpuBackend,
+            &NoControl,
+        );
         let recipe = train_dvgo(&input, &DvgoRecipe::scaled(1), 1, &NoControl);
         for trained in [fast, recipe] {
             let error = trained.map(|t| t.quality).unwrap_err();
@@ -171,7 +179,7 @@ fn bad_bounded_input_is_refused_by_frame_and_field() {
     }
     let mut preset = TrainPreset::fast(3.0, 0.05);
     preset.memory_bytes = 1_000;
-    let error = train_bounded(&bounded(), &preset, 1, &NoControl).unwrap_err();
+    let error = train_bounded(&bounded(), &preset, 1, &CpuBackend, &NoControl).unwrap_err();
     assert!(matches!(error, Error::OutOfMemory { .. }), "{error}");
 }
 
@@ -195,7 +203,7 @@ fn bad_objects_are_refused_by_field() {
         let mut input = orbit(true, false);
         break_it(&mut input);
         let preset = quick(TrainPreset::object(Budget::Quick), 1);
-        let error = train_object(&input, &preset, 1, &NoControl).unwrap_err();
+        let error = train_object(&input, &preset, 1, &CpuBackend, &NoControl).unwrap_err();
         assert!(matches!(error, Error::Invalid { .. }), "{error}");
         assert!(error.to_string().contains(field), "{error}");
     }

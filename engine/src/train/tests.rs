@@ -8,6 +8,7 @@ use super::evaluate::evaluate;
 use super::fit::Run;
 use super::*;
 use crate::asset::{AssetHeader, AssetKind, ColorSpace, FORMAT_VERSION, Usage};
+use crate::backend::cpu::CpuBackend;
 use crate::camera::{Camera, Distortion, Rigid};
 use crate::class::ObjectClass;
 use crate::view::{DepthReturn, PixelLabel, Split, TrainView};
@@ -175,7 +176,7 @@ pub(super) fn quick(mut preset: TrainPreset, steps: u64) -> TrainPreset {
 fn a_background_is_learned_up_to_its_held_out_views() {
     let mut preset = quick(TrainPreset::background(Budget::Quick), 150);
     preset.box_reach_m = 30.0;
-    let trained = train_background(&drive(), &preset, 1, &NoControl).unwrap();
+    let trained = train_background(&drive(), &preset, 1, &CpuBackend, &NoControl).unwrap();
     let quality = trained.quality;
     // Measured 27 dB and 0.04 m; an untrained field is near 10 dB.
     assert!(quality.psnr_held_out.unwrap() > 22.0, "{quality:?}");
@@ -233,14 +234,14 @@ fn storing_a_field_costs_under_a_tenth_of_a_decibel() {
     let mut preset = quick(TrainPreset::background(Budget::Quick), 200);
     preset.box_reach_m = 30.0;
     let input = drive();
-    let trained = train_background(&input, &preset, 1, &NoControl).unwrap();
+    let trained = train_background(&input, &preset, 1, &CpuBackend, &NoControl).unwrap();
     let (before, after, _) = stored(trained, &input.views);
     assert!((before - after).abs() < 0.1, "{before} to {after} dB");
     let mut preset = quick(TrainPreset::object(Budget::Quick), 200);
     preset.voxels_m = vec![0.2, 0.1];
     preset.level_reach_m = vec![f32::INFINITY; 2];
     let input = orbit(true, false);
-    let trained = train_object(&input, &preset, 1, &NoControl).unwrap();
+    let trained = train_object(&input, &preset, 1, &CpuBackend, &NoControl).unwrap();
     let (before, after, bytes) = stored(trained, &input.views);
     assert!((before - after).abs() < 0.1, "{before} to {after} dB");
     assert!(bytes < 1_000_000, "{bytes} bytes");
@@ -249,7 +250,7 @@ fn storing_a_field_costs_under_a_tenth_of_a_decibel() {
 #[test]
 fn an_object_is_learned_and_its_surroundings_stay_empty() {
     let preset = quick(TrainPreset::object(Budget::Quick), 200);
-    let quality = train_object(&orbit(true, false), &preset, 1, &NoControl)
+    let quality = train_object(&orbit(true, false), &preset, 1, &CpuBackend, &NoControl)
         .unwrap()
         .quality;
     // Measured 19.4 dB with views 24 degrees apart and stripes of six pixels.
@@ -263,7 +264,7 @@ fn symmetry_shows_the_side_no_camera_saw() {
     let preset = quick(TrainPreset::object(Budget::Quick), 200);
     let psnr = |symmetric| {
         let input = orbit(false, symmetric);
-        train_object(&input, &preset, 1, &NoControl)
+        train_object(&input, &preset, 1, &CpuBackend, &NoControl)
             .unwrap()
             .quality
             .psnr_held_out
@@ -277,7 +278,7 @@ fn symmetry_shows_the_side_no_camera_saw() {
 fn the_same_seed_gives_the_same_field() {
     let preset = quick(TrainPreset::object(Budget::Quick), 20);
     let train = |seed| {
-        train_object(&orbit(true, true), &preset, seed, &NoControl)
+        train_object(&orbit(true, true), &preset, seed, &CpuBackend, &NoControl)
             .unwrap()
             .field
     };
@@ -308,7 +309,13 @@ impl TrainControl for StopSoon {
 #[test]
 fn a_run_stops_when_asked() {
     let preset = quick(TrainPreset::object(Budget::Quick), 1_000);
-    let result = train_object(&orbit(true, false), &preset, 1, &StopSoon::default());
+    let result = train_object(
+        &orbit(true, false),
+        &preset,
+        1,
+        &CpuBackend,
+        &StopSoon::default(),
+    );
     assert!(matches!(result, Err(Error::Cancelled)), "{result:?}");
 }
 
@@ -316,7 +323,7 @@ fn a_run_stops_when_asked() {
 fn divergence_names_step_and_quantity() {
     let mut preset = quick(TrainPreset::object(Budget::Quick), 1_000);
     preset.rates.mlp = f32::INFINITY;
-    let result = train_object(&orbit(true, false), &preset, 1, &NoControl);
+    let result = train_object(&orbit(true, false), &preset, 1, &CpuBackend, &NoControl);
     assert!(matches!(result, Err(Error::Diverged { .. })), "{result:?}");
 }
 
@@ -326,7 +333,7 @@ fn the_papers_dense_background_stores_its_whole_box_and_learns() {
     preset.box_reach_m = 6.0;
     preset.mix.pixel_rays = 512;
     preset.mix.depth_rays = 128;
-    let trained = train_background(&drive(), &preset, 1, &NoControl).unwrap();
+    let trained = train_background(&drive(), &preset, 1, &CpuBackend, &NoControl).unwrap();
     assert_eq!(trained.field.levels().len(), 1);
     assert_eq!(trained.quality.voxel_size_m, 0.25);
     // Measured 21 dB; an untrained field is near 10 dB.
@@ -336,6 +343,6 @@ fn the_papers_dense_background_stores_its_whole_box_and_learns() {
         trained.quality
     );
     preset.memory_bytes = 1 << 20;
-    let error = train_background(&drive(), &preset, 1, &NoControl).unwrap_err();
+    let error = train_background(&drive(), &preset, 1, &CpuBackend, &NoControl).unwrap_err();
     assert!(matches!(error, Error::OutOfMemory { .. }), "{error}");
 }

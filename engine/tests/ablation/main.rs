@@ -6,6 +6,7 @@
 mod scene;
 
 use backlot_engine::Field;
+use backlot_engine::backend::cpu::CpuBackend;
 use backlot_engine::field::Ray;
 use backlot_engine::quality::{psnr_db, render_rays};
 use backlot_engine::train::ray::{DepthForm, Rectified};
@@ -90,7 +91,7 @@ fn object_preset(scale: Scale) -> TrainPreset {
 }
 
 fn fit(input: &ObjectInput, preset: &TrainPreset, seed: u64) -> Field {
-    train_object(input, preset, seed, &NoControl)
+    train_object(input, preset, seed, &CpuBackend, &NoControl)
         .expect("the scene is sound")
         .field
 }
@@ -159,7 +160,7 @@ fn depth(scale: Scale, seed: u64) -> [(f64, f64); 3] {
         let mut preset = background_preset(scale);
         preset.mix.depth_weight = weight;
         preset.losses.depth = form;
-        let trained = train_background(&input, &preset, seed, &NoControl);
+        let trained = train_background(&input, &preset, seed, &CpuBackend, &NoControl);
         let quality = trained.expect("the scene is sound").quality;
         let figure = |x: Option<f64>| x.expect("views were held out");
         (figure(quality.psnr_held_out), figure(quality.depth_mae_m))
@@ -189,7 +190,7 @@ fn exposure(scale: Scale, seed: u64) -> [f64; 2] {
     [0.0, 0.005].map(|rate| {
         let mut preset = background_preset(scale);
         preset.rates.exposure = rate;
-        let trained = train_background(&input, &preset, seed, &NoControl);
+        let trained = train_background(&input, &preset, seed, &CpuBackend, &NoControl);
         let quality = trained.expect("the scene is sound").quality;
         quality.psnr_held_out.expect("views were held out")
     })

@@ -19,24 +19,24 @@ const VIEW: usize = 12;
 
 /// A field, rays and losses whose gradients are checked. Views are corrected if there are corrections.
 #[derive(Clone, Debug)]
-pub(super) struct Scene {
-    pub(super) field: Field,
-    pub(super) rays: Vec<TrainRay>,
-    pub(super) losses: RayLosses,
-    pub(super) corrections: Vec<ViewCorrection>,
+pub(in crate::backend) struct Scene {
+    pub(in crate::backend) field: Field,
+    pub(in crate::backend) rays: Vec<TrainRay>,
+    pub(in crate::backend) losses: RayLosses,
+    pub(in crate::backend) corrections: Vec<ViewCorrection>,
 }
 
 /// Where the kinds of parameters start in the vector of all of them.
-pub(super) struct Offsets {
+pub(in crate::backend) struct Offsets {
     /// Density and features of each level.
-    pub(super) levels: Vec<(usize, usize)>,
-    pub(super) mlp: usize,
-    pub(super) sky: usize,
-    pub(super) views: usize,
+    pub(in crate::backend) levels: Vec<(usize, usize)>,
+    pub(in crate::backend) mlp: usize,
+    pub(in crate::backend) sky: usize,
+    pub(in crate::backend) views: usize,
 }
 
 /// All parameters of a field in one vector: densities, features, network, sky.
-pub(super) fn parameters(field: &Field) -> Vec<f64> {
+pub(in crate::backend) fn parameters(field: &Field) -> Vec<f64> {
     let mut all: Vec<f32> = Vec::new();
     for level in &field.levels {
         all.extend(level.density());
@@ -48,7 +48,7 @@ pub(super) fn parameters(field: &Field) -> Vec<f64> {
     all.into_iter().map(f64::from).collect()
 }
 
-pub(super) fn offsets(field: &Field) -> Offsets {
+pub(in crate::backend) fn offsets(field: &Field) -> Offsets {
     let mut at = 0;
     let mut levels = Vec::new();
     for level in &field.levels {
@@ -130,7 +130,7 @@ impl Scene {
     }
 
     /// Largest error of `gradient` against differences, relative to the largest difference of the same kind of parameter.
-    pub(super) fn worst_error(&self, gradient: &[f64]) -> f64 {
+    pub(in crate::backend) fn worst_error(&self, gradient: &[f64]) -> f64 {
         let march = |ray: &TrainRay| {
             let mut out = Vec::new();
             let range = MarchRange {
@@ -190,7 +190,7 @@ impl Scene {
     }
 
     /// The rays as the present corrections move them.
-    pub(super) fn corrected_rays(&self) -> Vec<TrainRay> {
+    pub(in crate::backend) fn corrected_rays(&self) -> Vec<TrainRay> {
         let corrected = |ray: &TrainRay| match self.corrections.get(ray.view as usize) {
             Some(view) => TrainRay {
                 ray: view.pose.apply(ray.ray, ray.mirrored),

@@ -13,14 +13,16 @@ pub(crate) mod lanes;
 mod march;
 mod matmul;
 #[cfg(test)]
-mod mirror;
+pub(in crate::backend) mod mirror;
 pub(crate) mod mlp;
 pub(crate) mod prefetch;
 mod ray_losses;
 mod scatter;
 pub(crate) mod simd;
+#[cfg(all(test, feature = "gpu"))]
+mod stage_record;
 #[cfg(test)]
-mod tests;
+pub(in crate::backend) mod tests;
 mod trainer;
 mod variation;
 mod view_corrections;
@@ -32,7 +34,7 @@ pub use view_corrections::{PoseCorrection, ViewCorrection};
 
 use std::sync::Arc;
 
-use super::{Backend, LoadedField};
+use super::{Backend, LoadedField, Trainer};
 use crate::Result;
 use crate::field::Field;
 use crate::scene::{self, RenderOptions, RenderedFrame, Scene};
@@ -56,6 +58,10 @@ impl Backend for CpuBackend {
 
     fn load(&self, field: &Arc<Field>) -> Result<Box<dyn LoadedField>> {
         Ok(Box::new(march::CpuField::new(Arc::clone(field))))
+    }
+
+    fn trainer(&self, field: Field) -> Result<Trainer> {
+        Ok(Trainer::on_cpu(CpuTrainer::fastest(field)))
     }
 
     fn render(

@@ -13,7 +13,7 @@ use crate::volume::Exposure;
 
 /// f32 gradients through 39 + 16 + 16 terms and up to 40 samples; measured near 1e-5.
 const TOLERANCE: f64 = 1e-3;
-const LOSSES: RayLosses = RayLosses {
+pub(in crate::backend) const LOSSES: RayLosses = RayLosses {
     sample_color: 0.1,
     entropy: 0.02,
     depth_scale_m: 0.05,
@@ -30,7 +30,7 @@ const LOSSES: RayLosses = RayLosses {
     pose_prior: 0.0,
 };
 
-fn field() -> Field {
+pub(in crate::backend) fn field() -> Field {
     let mut draws = Draws::new(5, 0, 0);
     let (low, high) = (Vec3::splat(-1.0), Vec3::splat(1.0));
     let mut levels = Vec::new();
@@ -70,11 +70,17 @@ fn field() -> Field {
 }
 
 fn rays() -> Vec<TrainRay> {
+    rays_of_all_sorts(6)
+}
+
+/// Rays with and without colour, range and silhouette, in front of the sky or a colour.
+pub(in crate::backend) fn rays_of_all_sorts(count: usize) -> Vec<TrainRay> {
     let mut draws = Draws::new(6, 0, 0);
-    (0..6)
+    (0..count)
         .map(|number| {
             let origin = Vec3::new(-2.0, draws.jitter(0.5) as f32, draws.jitter(0.5) as f32);
             let target = Vec3::new(0.5, draws.jitter(0.5) as f32, draws.jitter(0.5) as f32);
+            let sort = number % 6;
             TrainRay {
                 ray: Ray {
                     origin,
@@ -83,8 +89,8 @@ fn rays() -> Vec<TrainRay> {
                 phase: 0.5,
                 t_max: f32::INFINITY,
                 color: std::array::from_fn(|_| draws.unit() as f32),
-                color_weight: if number == 5 { 0.0 } else { 0.2 },
-                backdrop: if number == 1 {
+                color_weight: if sort == 5 { 0.0 } else { 0.2 },
+                backdrop: if sort == 1 {
                     Backdrop::Color([0.1, 0.9, 0.3])
                 } else {
                     Backdrop::Sky
@@ -96,7 +102,7 @@ fn rays() -> Vec<TrainRay> {
                 ][number % 3],
                 silhouette_weight: 0.05,
                 range_m: 2.3,
-                range_weight: if number >= 4 { 0.1 } else { 0.0 },
+                range_weight: if sort >= 4 { 0.1 } else { 0.0 },
                 view: number as u32,
                 mirrored: false,
             }
@@ -183,7 +189,7 @@ fn the_printed_rectified_loss_goes_through_the_whole_renderer() {
 }
 
 /// Corrections as large as an annotated cuboid jitters, and every other ray mirrored.
-fn corrected_scene() -> Scene {
+pub(in crate::backend) fn corrected_scene() -> Scene {
     let mut draws = Draws::new(9, 0, 0);
     let mut scene = scene(LOSSES);
     for (number, ray) in scene.rays.iter_mut().enumerate() {

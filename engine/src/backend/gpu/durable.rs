@@ -3,7 +3,7 @@
 use std::sync::{Arc, Mutex, PoisonError};
 
 use super::GpuBackend;
-use crate::backend::{AdapterChoice, Backend, LoadedField};
+use crate::backend::{AdapterChoice, Backend, LoadedField, Trainer};
 use crate::field::Field;
 use crate::scene::{RenderOptions, RenderedFrame, Scene};
 use crate::{Error, Result};
@@ -65,6 +65,10 @@ impl Backend for DurableGpu {
 
     fn load(&self, field: &Arc<Field>) -> Result<Box<dyn LoadedField>> {
         self.retried(|gpu| gpu.load(field))
+    }
+
+    fn trainer(&self, field: Field) -> Result<Trainer> {
+        self.current()?.trainer(field)
     }
 
     fn render(

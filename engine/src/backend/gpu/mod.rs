@@ -28,7 +28,7 @@ pub use train::{GpuSums, GpuTrainer};
 
 use std::sync::Arc;
 
-use super::{AdapterChoice, Backend, LoadedField};
+use super::{AdapterChoice, Backend, LoadedField, Trainer};
 use crate::Result;
 use crate::field::Field;
 use crate::scene::{self, RenderOptions, RenderedFrame, Scene};
@@ -60,7 +60,7 @@ impl GpuBackend {
     ///
     /// # Errors
     /// [`Error::TooLarge`] or [`Error::OutOfMemory`] where it does not fit, and [`Error::Lost`].
-    pub fn trainer(&self, field: Field) -> Result<GpuTrainer, Error> {
+    pub fn open_trainer(&self, field: Field) -> Result<GpuTrainer, Error> {
         GpuTrainer::new(self.device.clone(), field)
     }
 
@@ -86,6 +86,10 @@ impl Backend for GpuBackend {
             Arc::clone(&self.march),
             resident,
         )))
+    }
+
+    fn trainer(&self, field: Field) -> Result<Trainer> {
+        Ok(Trainer::on_gpu(self.open_trainer(field)?))
     }
 
     fn render(

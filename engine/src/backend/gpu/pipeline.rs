@@ -107,11 +107,6 @@ impl Pipeline {
         })
     }
 
-    /// Threads of a workgroup.
-    pub(super) fn workgroup_size(&self) -> u32 {
-        self.kernel.workgroup_size
-    }
-
     pub(super) fn groups(&self, device: &Device, items: u32) -> Groups {
         Groups::cover(
             items,

@@ -221,7 +221,9 @@ impl Session<'_> {
 
     fn show(&self, field: &Field, fine_step: u64) {
         let progress = self.progress(Phase::Train, self.steps_before + fine_step);
-        self.control.inspect(progress, field);
+        if self.control.looks(progress) {
+            self.control.inspect(progress, field);
+        }
     }
 }
 

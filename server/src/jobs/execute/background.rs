@@ -1,6 +1,7 @@
 //! Trains one background.
 
 use backlot_engine::asset::{AssetHeader, AssetKind, ColorSpace, FORMAT_VERSION, Usage};
+use backlot_engine::backend::cpu::CpuBackend;
 use backlot_engine::camera::Rigid;
 use backlot_engine::class::ObjectClass;
 use backlot_engine::scene::ValidRegion;
@@ -38,7 +39,7 @@ pub(super) fn run(
     let (width, height) = image_size;
     let what = format!("background of {} at {width}x{height}", log.id);
     let run = RunControl::new(control, DECODED, TRAINED - DECODED, what);
-    let trained = train_background(&input, &plan.background, job.spec.seed, &run)?;
+    let trained = train_background(&input, &plan.background, job.spec.seed, &CpuBackend, &run)?;
     drop(input);
     report(
         control,

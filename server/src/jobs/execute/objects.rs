@@ -1,6 +1,7 @@
 //! Trains the usable objects of a log, those with most pixels first.
 
 use backlot_engine::asset::{AssetHeader, AssetKind, Usage};
+use backlot_engine::backend::cpu::CpuBackend;
 use backlot_engine::quality::ViewCoverage;
 use backlot_engine::train::{Trained, train_object};
 use backlot_engine::{Error as EngineError, camera::Rigid};
@@ -105,7 +106,13 @@ impl ObjectsJob<'_> {
         let track = &self.log.tracks[plan.track];
         let what = format!("{} {}", track.class.name(), track.track_id);
         let run = RunControl::new(self.control, start, share, what);
-        match train_object(&set.input, &self.budget.object, self.job.spec.seed, &run) {
+        match train_object(
+            &set.input,
+            &self.budget.object,
+            self.job.spec.seed,
+            &CpuBackend,
+            &run,
+        ) {
             Ok(trained) => {
                 let asset = self.publish(plan, &set, trained)?;
                 self.assets.push(asset);

@@ -7,3 +7,9 @@ mod adapter;
 mod compare;
 
 mod march;
+
+mod stage_compare;
+
+mod stages;
+
+mod steps;

@@ -1,9 +1,9 @@
 //! What a batch of rays needs between its kernels.
 
-use backlot_shaders::layout;
+use backlot_shaders::{INPUT_BLOCKS, layout};
 use wgpu::BufferUsages;
 
-use super::network::{Block, weight_blocks};
+use super::network::{Block, layer_params, weight_blocks, width_blocks};
 use crate::backend::gpu::buffer::Buffer;
 use crate::backend::gpu::device::Device;
 use crate::backend::gpu::error::Error;
@@ -23,24 +23,31 @@ pub(super) struct Capacity {
     pub(super) samples_per_ray: u32,
     /// Rays of a whole step.
     pub(super) step_rays: u32,
-    /// Threads of the backward pass, each of which has gradients of all weights.
-    pub(super) backward_threads: u32,
+    /// Shares of the samples whose weight gradients are summed apart.
+    pub(super) shares: u32,
 }
 
 impl Capacity {
-    pub(super) fn new(device: &Device, samples_per_ray: u32, step_rays: usize) -> Self {
-        // A processor wants a batch in its caches, a GPU wants many rays.
-        let (rays, backward_threads) = if device.is_software() {
-            (1024, 64)
+    /// As many rays as can never fill more than the adapter's share of hidden activations.
+    pub(super) fn new(
+        device: &Device,
+        network: MlpLayout,
+        samples_per_ray: u32,
+        step_rays: usize,
+    ) -> Self {
+        // A processor wants a batch near its caches, a GPU wants many samples.
+        let (hidden_bytes, shares) = if device.is_software() {
+            (32 << 20, 8)
         } else {
-            (4096, 2048)
+            (256 << 20, 64)
         };
+        let samples = hidden_bytes / (network.width * size_of::<f32>()) as u32;
         let step_rays = step_rays.max(1) as u32;
         Self {
-            rays: step_rays.min(rays),
+            rays: (samples / samples_per_ray).clamp(1, step_rays),
             samples_per_ray,
             step_rays,
-            backward_threads,
+            shares,
         }
     }
 
@@ -77,11 +84,17 @@ pub(super) struct Batch {
     pub(super) first_points: Buffer<u32>,
     pub(super) points: Buffer<layout::GradientPoint>,
     pub(super) slot_samples: Buffer<layout::SlotSample>,
-    /// Three quads a slot: features, and after the backward pass their gradients.
-    pub(super) slot_features: Buffer<Quad>,
+    /// Ten quads a slot.
+    pub(super) slot_inputs: Buffer<Quad>,
     pub(super) slot_colors: Buffer<Quad>,
     pub(super) slot_color_gradients: Buffer<Quad>,
+    /// By the features, three quads a slot.
+    pub(super) slot_gradients: Buffer<Quad>,
+    /// Activations of the two hidden layers and gradients by them.
+    pub(super) hidden: [Buffer<Quad>; 2],
+    pub(super) hidden_gradients: [Buffer<Quad>; 2],
     pub(super) weight_gradients: Buffer<Block>,
+    pub(super) layers: [Buffer<layout::LayerParams>; 3],
     /// Coloured samples and points of the batch, then of the step.
     pub(super) counters: Buffer<u32>,
     /// Of the whole step.
@@ -98,8 +111,17 @@ impl Batch {
         let rays = capacity.rays as usize;
         let samples = rays * capacity.samples_per_ray as usize;
         let step_rays = capacity.step_rays as usize;
-        let blocks = capacity.backward_threads as usize * weight_blocks(network);
+        let blocks = capacity.shares as usize * weight_blocks(network);
+        let neurons = samples * width_blocks(network);
         let storage = BufferUsages::STORAGE;
+        let layer = |params: &layout::LayerParams| {
+            let params = layout::LayerParams {
+                shares: capacity.shares,
+                ..*params
+            };
+            Buffer::from_slice(device, "layer", &[params], BufferUsages::UNIFORM)
+        };
+        let [first, second, third] = layer_params(network);
         Ok(Self {
             capacity,
             rays: Buffer::zeroed(device, "rays", rays, storage)?,
@@ -111,7 +133,7 @@ impl Batch {
             first_points: Buffer::zeroed(device, "first points", rays, storage)?,
             points: Buffer::zeroed(device, "gradient points", samples, storage)?,
             slot_samples: Buffer::zeroed(device, "slot samples", samples, storage)?,
-            slot_features: Buffer::zeroed(device, "slot features", 3 * samples, storage)?,
+            slot_inputs: Buffer::zeroed(device, "slot inputs", INPUT_BLOCKS * samples, storage)?,
             slot_colors: Buffer::zeroed(device, "slot colours", samples, storage)?,
             slot_color_gradients: Buffer::zeroed(
                 device,
@@ -119,6 +141,16 @@ impl Batch {
                 samples,
                 storage,
             )?,
+            slot_gradients: Buffer::zeroed(device, "slot gradients", 3 * samples, storage)?,
+            hidden: [
+                Buffer::zeroed(device, "hidden layer 1", neurons, storage)?,
+                Buffer::zeroed(device, "hidden layer 2", neurons, storage)?,
+            ],
+            hidden_gradients: [
+                Buffer::zeroed(device, "gradients of hidden layer 1", neurons, storage)?,
+                Buffer::zeroed(device, "gradients of hidden layer 2", neurons, storage)?,
+            ],
+            layers: [layer(&first)?, layer(&second)?, layer(&third)?],
             weight_gradients: Buffer::zeroed(device, "weight gradients", blocks, storage)?,
             counters: Buffer::zeroed(device, "counters", 4, storage)?,
             ray_losses: Buffer::zeroed(device, "ray losses", step_rays, storage)?,

@@ -32,6 +32,8 @@ pub(super) struct Bindings {
     pub(super) forward: wgpu::BindGroup,
     pub(super) losses: wgpu::BindGroup,
     pub(super) backward: wgpu::BindGroup,
+    /// One a layer.
+    pub(super) layer_gradients: [wgpu::BindGroup; 3],
     pub(super) scatter: wgpu::BindGroup,
     pub(super) sum: wgpu::BindGroup,
     pub(super) step_bricks: wgpu::BindGroup,
@@ -52,6 +54,7 @@ impl Bindings {
             forward: forward(device, kernels, buffers)?,
             losses: losses(device, kernels, buffers)?,
             backward: backward(device, kernels, buffers)?,
+            layer_gradients: layer_gradients(device, kernels, buffers)?,
             scatter: scatter(device, kernels, buffers)?,
             sum: sum(device, kernels, buffers)?,
             step_bricks: step_bricks(device, kernels, buffers)?,
@@ -108,7 +111,7 @@ fn gather(device: &Device, kernels: &TrainKernels, buffers: Buffers<'_>) -> Boun
         &batch.rays.raw,
         &batch.slot_samples.raw,
         &batch.counters.raw,
-        &batch.slot_features.raw,
+        &batch.slot_inputs.raw,
     ];
     kernels.gather.bind(device, &own)
 }
@@ -120,10 +123,10 @@ fn forward(device: &Device, kernels: &TrainKernels, buffers: Buffers<'_>) -> Bou
         &first.raw,
         &second.raw,
         &third.raw,
-        &batch.rays.raw,
-        &batch.slot_samples.raw,
-        &batch.slot_features.raw,
         &batch.counters.raw,
+        &batch.slot_inputs.raw,
+        &batch.hidden[0].raw,
+        &batch.hidden[1].raw,
         &batch.slot_colors.raw,
     ];
     kernels.forward.bind(device, &own)
@@ -161,14 +164,40 @@ fn backward(device: &Device, kernels: &TrainKernels, buffers: Buffers<'_>) -> Bo
         &first.raw,
         &second.raw,
         &third.raw,
-        &batch.rays.raw,
-        &batch.slot_samples.raw,
         &batch.counters.raw,
+        &batch.hidden[0].raw,
+        &batch.hidden[1].raw,
+        &batch.slot_colors.raw,
         &batch.slot_color_gradients.raw,
-        &batch.slot_features.raw,
-        &batch.weight_gradients.raw,
+        &batch.hidden_gradients[0].raw,
+        &batch.hidden_gradients[1].raw,
+        &batch.slot_gradients.raw,
     ];
     kernels.backward.bind(device, &own)
+}
+
+fn layer_gradients(
+    device: &Device,
+    kernels: &TrainKernels,
+    buffers: Buffers<'_>,
+) -> Result<[wgpu::BindGroup; 3], Error> {
+    let batch = buffers.batch;
+    let [by_a, by_b] = &batch.hidden_gradients;
+    let layer = |number: usize, inputs: &wgpu::Buffer, gradients: &wgpu::Buffer| {
+        let own = [
+            &batch.layers[number].raw,
+            &batch.counters.raw,
+            inputs,
+            gradients,
+            &batch.weight_gradients.raw,
+        ];
+        kernels.layer_gradients.bind(device, &own)
+    };
+    Ok([
+        layer(0, &batch.slot_inputs.raw, &by_a.raw)?,
+        layer(1, &batch.hidden[0].raw, &by_b.raw)?,
+        layer(2, &batch.hidden[1].raw, &batch.slot_color_gradients.raw)?,
+    ])
 }
 
 fn scatter(device: &Device, kernels: &TrainKernels, buffers: Buffers<'_>) -> Bound {
@@ -180,7 +209,7 @@ fn scatter(device: &Device, kernels: &TrainKernels, buffers: Buffers<'_>) -> Bou
         &lattices.brick_index.raw,
         &batch.counters.raw,
         &batch.points.raw,
-        &batch.slot_features.raw,
+        &batch.slot_gradients.raw,
         &lattices.density_gradients.raw,
         &a.raw,
         &b.raw,

@@ -6,6 +6,8 @@
 
 mod batch;
 mod bindings;
+#[cfg(test)]
+mod inspect;
 mod kernels;
 mod lattices;
 pub(super) mod network;
@@ -20,7 +22,7 @@ use batch::{Batch, Capacity, most_samples};
 use bindings::{Bindings, Buffers};
 use kernels::TrainKernels;
 use lattices::{Lattices, LevelSquares};
-use network::ResidentNetwork;
+use network::{ResidentNetwork, gradient_tiles, layer_params};
 use rays::{march_ray, step_params, target};
 use sky::Sky;
 use state::StepBuffers;
@@ -28,7 +30,7 @@ use state::StepBuffers;
 use super::buffer::Buffer;
 use super::device::Device;
 use super::error::Error;
-use super::pipeline::{Groups, Pipeline};
+use super::pipeline::Groups;
 use super::sequence::Sequence;
 use crate::field::Field;
 use crate::train::ray::{Rates, RayLosses, TrainRay};
@@ -203,7 +205,12 @@ impl GpuTrainer {
             self.samples_per_ray = most_samples(field);
             self.bindings = None;
         }
-        let wanted = Capacity::new(&self.device, self.samples_per_ray, rays);
+        let wanted = Capacity::new(
+            &self.device,
+            self.field.mlp.layout(),
+            self.samples_per_ray,
+            rays,
+        );
         if self
             .batch
             .as_ref()
@@ -244,23 +251,32 @@ impl GpuTrainer {
         rays: &[TrainRay],
         params: layout::TrainParams,
     ) -> Result<(), Error> {
+        self.submit_forward(rays, params)?;
+        self.submit_backward(rays.len())
+    }
+
+    /// From rays to the colours of their samples.
+    fn submit_forward(
+        &mut self,
+        rays: &[TrainRay],
+        params: layout::TrainParams,
+    ) -> Result<(), Error> {
         self.march_rays.clear();
         self.march_rays.extend(rays.iter().map(march_ray));
         self.targets.clear();
         self.targets.extend(rays.iter().map(target));
         let (device, kernels) = (&self.device, &self.kernels);
         let (lattices, batch, bindings) = self.resident();
-        let capacity = batch.capacity;
-        let per_ray = |kernel: &Pipeline| kernel.groups(device, rays.len() as u32);
-        let march_groups = per_ray(&kernels.march);
+        let samples_per_ray = batch.capacity.samples_per_ray;
+        let march_groups = kernels.march.groups(device, rays.len() as u32);
         let march = layout::MarchParams {
             ray_count: rays.len() as u32,
-            sample_capacity: capacity.samples_per_ray,
+            sample_capacity: samples_per_ray,
             groups_x: march_groups.x,
             ..lattices.params
         };
         let params = layout::TrainParams {
-            sample_capacity: capacity.samples_per_ray,
+            sample_capacity: samples_per_ray,
             ..params
         };
         batch.rays.write(device, &self.march_rays);
@@ -268,24 +284,34 @@ impl GpuTrainer {
         self.march_params.write(device, &[march]);
         self.step.params.write(device, &[params]);
         let free = free_groups(device);
-        let backward = Groups {
-            x: capacity.backward_threads / kernels.backward.workgroup_size(),
-            y: 1,
-        };
-        let mut sequence = Sequence::new(device, "training batch");
-        let of_batch_only = params.first_ray > 0;
-        let counters = if of_batch_only { 8 } else { 16 };
+        let per_ray = kernels.composite.groups(device, rays.len() as u32);
+        let mut sequence = Sequence::new(device, "training batch, forward");
+        // The step's counts follow the batch's.
+        let counters = if params.first_ray == 0 { 16 } else { 8 };
         sequence.clear(&batch.counters.raw, counters);
         sequence.run(&kernels.march, &bindings.march, march_groups);
-        sequence.run(
-            &kernels.composite,
-            &bindings.composite,
-            per_ray(&kernels.composite),
-        );
+        sequence.run(&kernels.composite, &bindings.composite, per_ray);
         sequence.run(&kernels.gather, &bindings.gather, free);
         sequence.run(&kernels.forward, &bindings.forward, free);
-        sequence.run(&kernels.losses, &bindings.losses, per_ray(&kernels.losses));
-        sequence.run(&kernels.backward, &bindings.backward, backward);
+        let submission = sequence.submit()?;
+        self.wait_for_last(submission)
+    }
+
+    /// From losses to gradients by all parameters.
+    fn submit_backward(&mut self, rays: usize) -> Result<(), Error> {
+        let (device, kernels) = (&self.device, &self.kernels);
+        let (_, batch, bindings) = self.resident();
+        let per_ray = kernels.losses.groups(device, rays as u32);
+        let free = free_groups(device);
+        let mut sequence = Sequence::new(device, "training batch, backward");
+        sequence.run(&kernels.losses, &bindings.losses, per_ray);
+        sequence.run(&kernels.backward, &bindings.backward, free);
+        let layers = layer_params(self.field.mlp.layout());
+        for (layer, bound) in layers.iter().zip(&bindings.layer_gradients) {
+            let threads = gradient_tiles(layer) * batch.capacity.shares;
+            let groups = kernels.layer_gradients.groups(device, threads);
+            sequence.run(&kernels.layer_gradients, bound, groups);
+        }
         sequence.run(&kernels.scatter, &bindings.scatter, free);
         let submission = sequence.submit()?;
         self.wait_for_last(submission)

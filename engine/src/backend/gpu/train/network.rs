@@ -1,5 +1,6 @@
 //! The colour network in the form that kernels read: 4x4 blocks, layer after layer.
 
+use backlot_shaders::layout::LayerParams;
 use backlot_shaders::{
     BLOCK_EDGE, BLOCK_FLOATS, INPUT_BLOCKS, LAYER_1_BLOCKS, LAYER_2_BLOCKS, LAYER_3_BLOCKS,
 };
@@ -81,6 +82,32 @@ fn layer_blocks(layout: MlpLayout) -> [usize; 3] {
 /// Blocks of all layers.
 pub(in crate::backend::gpu) fn weight_blocks(layout: MlpLayout) -> usize {
     layer_blocks(layout).iter().sum()
+}
+
+/// The layers as [`backlot_shaders::kernels::LAYER_GRADIENTS`] takes them, without shares.
+pub(super) fn layer_params(layout: MlpLayout) -> [LayerParams; 3] {
+    let width = width_blocks(layout) as u32;
+    let [first, second, _] = layer_blocks(layout).map(|blocks| blocks as u32);
+    let third_at = first + second;
+    let weight_blocks = weight_blocks(layout) as u32;
+    let of = |input_quads, output_quads, first_block, first_bias| LayerParams {
+        input_quads,
+        output_quads,
+        shares: 0,
+        weight_blocks,
+        first_block,
+        first_bias,
+    };
+    [
+        of(INPUT_BLOCKS as u32, width, 0, 0),
+        of(width, width, first, third_at + width),
+        of(width, 1, third_at, third_at + 2 * width),
+    ]
+}
+
+/// Tiles of 4 x 4 blocks that cover a layer's weights.
+pub(super) fn gradient_tiles(layer: &LayerParams) -> u32 {
+    layer.input_quads.div_ceil(4) * layer.output_quads.div_ceil(4)
 }
 
 fn pack(mlp: &ColorMlp) -> Vec<Block> {

@@ -71,6 +71,10 @@ impl TrainControl for Watch {
             .store(progress.step, std::sync::atomic::Ordering::Relaxed);
     }
 
+    fn looks(&self, _: Progress) -> bool {
+        true
+    }
+
     fn inspect(&self, progress: Progress, field: &Field) {
         let look = (progress.step, field.finest_voxel_m());
         self.looks.lock().unwrap().push(look);

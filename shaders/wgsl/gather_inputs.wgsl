@@ -1,4 +1,4 @@
-// Interpolates the features of coloured samples; one thread a sample, as many times as it takes.
+// The colour network's inputs of coloured samples: interpolated features and the viewing direction; one thread a sample, as many times as it takes.
 
 override WORKGROUP_SIZE: u32;
 
@@ -11,19 +11,26 @@ override WORKGROUP_SIZE: u32;
 @group(0) @binding(6) var<storage, read> rays: array<Ray>;
 @group(0) @binding(7) var<storage, read> slot_samples: array<SlotSample>;
 @group(0) @binding(8) var<storage, read> counters: array<u32>;
-@group(0) @binding(9) var<storage, read_write> slot_features: array<vec4<f32>>;
+// Ten quads a slot.
+@group(0) @binding(9) var<storage, read_write> slot_inputs: array<vec4<f32>>;
 
 @compute @workgroup_size(WORKGROUP_SIZE)
-fn gather_features(
+fn gather_inputs(
     @builtin(global_invocation_id) id: vec3<u32>,
     @builtin(num_workgroups) groups: vec3<u32>,
 ) {
     let count = counters[COLORED_COUNT];
     for (var slot = id.x; slot < count; slot += groups.x * WORKGROUP_SIZE) {
         let sample = slot_samples[slot];
-        let features = features_at(rays[sample.ray].origin_m + rays[sample.ray].direction * sample.t);
-        slot_features[3u * slot] = features.a;
-        slot_features[3u * slot + 1u] = features.b;
-        slot_features[3u * slot + 2u] = features.c;
+        let direction = rays[sample.ray].direction;
+        let features = features_at(rays[sample.ray].origin_m + direction * sample.t);
+        let first = slot * INPUT_QUADS;
+        slot_inputs[first] = features.a;
+        slot_inputs[first + 1u] = features.b;
+        slot_inputs[first + 2u] = features.c;
+        var view = view_inputs(direction);
+        for (var quad = 0u; quad < VIEW_QUADS; quad++) {
+            slot_inputs[first + 3u + quad] = view[quad];
+        }
     }
 }

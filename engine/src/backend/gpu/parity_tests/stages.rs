@@ -1,0 +1,211 @@
+//! Parity of every stage of a training step: samples, weights, features, colours, losses, gradients.
+
+use super::adapter::on_adapter;
+use super::compare::{Cpu, Gpu};
+use super::stage_compare::compare_stages;
+use crate::backend::cpu::Simd;
+use crate::backend::cpu::mirror::Scene;
+use crate::backend::cpu::tests::{LOSSES, field, rays_of_all_sorts};
+use crate::backend::gpu::GpuBackend;
+use crate::backend::stages::{StageColor, StageSample, Stages};
+use crate::field::ColorMlp;
+use crate::scene::Draws;
+use crate::train::ray::{DepthForm, RayLosses, Rectified};
+
+const RAYS: usize = 300;
+
+/// The gradient checks' field with a colour network of this width.
+fn scene(width: usize, losses: RayLosses) -> Scene {
+    let mut draws = Draws::new(13, 0, 0);
+    let mut field = field();
+    field.mlp = ColorMlp::new(width, || draws.unit());
+    Scene {
+        field,
+        rays: rays_of_all_sorts(RAYS),
+        losses,
+        corrections: Vec::new(),
+    }
+}
+
+fn on_gpu(gpu: &GpuBackend, scene: &Scene) -> Gpu<Stages> {
+    let mut trainer = gpu.open_trainer(scene.field.clone()).unwrap();
+    Gpu(trainer.stages(&scene.rays, &scene.losses).unwrap())
+}
+
+/// On the path without fused multiply-add.
+fn on_cpu(scene: &Scene) -> Cpu<Stages> {
+    Cpu(scene.stages(Simd::Baseline))
+}
+
+/// Asserts that both sides agree on a scene, and that they do not once its losses are `others` on the CPU.
+fn agree(name: &str, scene: &Scene, others: RayLosses) {
+    on_adapter(name, |gpu| {
+        let gpu = on_gpu(gpu, scene);
+        let worst = compare_stages(&gpu, &on_cpu(scene)).unwrap();
+        println!("{name}: largest deviations {worst:?}");
+        let other = Scene {
+            losses: others,
+            ..scene.clone()
+        };
+        let verdict = compare_stages(&gpu, &on_cpu(&other));
+        assert!(verdict.is_err(), "{name}: other losses pass: {verdict:?}");
+    });
+}
+
+#[test]
+fn parity_of_stages_with_networks_of_all_widths() {
+    for width in ColorMlp::WIDTHS {
+        let forgotten = RayLosses {
+            sample_color: 0.0,
+            ..LOSSES
+        };
+        agree(
+            &format!("stages, width {width}"),
+            &scene(width, LOSSES),
+            forgotten,
+        );
+    }
+}
+
+#[test]
+fn parity_of_the_entropy_loss() {
+    let forgotten = RayLosses {
+        entropy: 0.0,
+        ..LOSSES
+    };
+    agree("entropy", &scene(16, LOSSES), forgotten);
+}
+
+#[test]
+fn parity_of_the_distortion_loss() {
+    let losses = RayLosses {
+        distortion: 0.5,
+        ..LOSSES
+    };
+    agree("distortion", &scene(16, losses), LOSSES);
+}
+
+#[test]
+fn parity_of_the_papers_depth_loss() {
+    let losses = RayLosses {
+        depth: DepthForm::CompositedL1,
+        ..LOSSES
+    };
+    agree("composited depth", &scene(16, losses), LOSSES);
+}
+
+#[test]
+fn parity_of_the_printed_rectified_loss() {
+    let losses = RayLosses {
+        rectified: Rectified::Printed,
+        ..LOSSES
+    };
+    agree("printed rectified loss", &scene(16, losses), LOSSES);
+}
+
+#[test]
+fn parity_of_rays_that_are_trimmed() {
+    let losses = RayLosses {
+        depth_trim_m: 0.4,
+        ..LOSSES
+    };
+    agree("trimmed depth", &scene(16, losses), LOSSES);
+}
+
+/// Only samples whose weight is not within rounding of the threshold decide alike.
+#[test]
+fn parity_of_what_is_coloured() {
+    let losses = RayLosses {
+        min_weight: 0.02,
+        ..LOSSES
+    };
+    let mut scene = scene(16, losses);
+    let near = |sample: &StageSample| (sample.weight - losses.min_weight).abs() < 1e-4;
+    let stages = on_cpu(&scene).0;
+    let mut decided = stages.rays.iter().map(|ray| !ray.iter().any(near));
+    scene.rays.retain(|_| decided.next().unwrap_or(false));
+    assert!(
+        scene.rays.len() * 10 > RAYS * 8,
+        "{} rays",
+        scene.rays.len()
+    );
+    let colored = on_cpu(&scene).0;
+    let colored = colored.rays.iter().flatten().map(|s| s.colored.is_some());
+    let (shown, all) = colored.fold((0, 0), |(shown, all), c| (shown + u32::from(c), all + 1));
+    assert!(shown > 100 && all > 2 * shown, "{shown} of {all} coloured");
+    agree("what is coloured", &scene, LOSSES);
+}
+
+/// Every quantity by itself, wrong on purpose.
+#[test]
+fn parity_of_stages_rejects_every_quantity_that_is_a_little_off() {
+    on_adapter("stages a little off", |gpu| {
+        let scene = scene(32, LOSSES);
+        let gpu = on_gpu(gpu, &scene);
+        let right = on_cpu(&scene);
+        compare_stages(&gpu, &right).unwrap();
+        for (what, change) in CHANGES {
+            let mut wrong = right.clone();
+            change(&mut wrong.0);
+            let verdict = compare_stages(&gpu, &wrong);
+            assert!(verdict.is_err(), "{what} passes: {verdict:?}");
+        }
+    });
+}
+
+type Change = fn(&mut Stages);
+
+const CHANGES: [(&str, Change); 12] = [
+    ("a lost sample", |s| {
+        s.rays[7].pop();
+    }),
+    ("a sample moved by a tenth of a millimetre", |s| {
+        s.rays[7][3].sample.t += 1e-4
+    }),
+    ("densities a thousandth off", |s| {
+        samples(s, |x| x.sample.sigma *= 1.001)
+    }),
+    ("weights a thousandth off", |s| {
+        samples(s, |x| x.weight *= 1.001)
+    }),
+    ("a sample without colour", |s| s.rays[6][3].colored = None),
+    ("features a thousandth off", |s| {
+        colors(s, |x| x.features[11] *= 1.001)
+    }),
+    ("colours a thousandth off", |s| {
+        colors(s, |x| x.color[2] *= 1.001)
+    }),
+    ("raw gradients a thousandth off", |s| {
+        samples(s, |x| x.raw *= 1.001)
+    }),
+    ("feature gradients a thousandth off", |s| {
+        colors(s, |x| {
+            x.feature_gradient.iter_mut().for_each(|g| *g *= 1.001)
+        })
+    }),
+    ("network gradients a thousandth off", |s| {
+        scale(&mut s.network)
+    }),
+    ("sky gradients a thousandth off", |s| scale(&mut s.sky)),
+    ("node gradients a thousandth off", |s| {
+        s.density.iter_mut().for_each(|level| scale(level));
+        s.features
+            .iter_mut()
+            .for_each(|level| scale(level.as_flattened_mut()));
+    }),
+];
+
+fn samples(stages: &mut Stages, change: fn(&mut StageSample)) {
+    stages.rays.iter_mut().flatten().for_each(change);
+}
+
+fn colors(stages: &mut Stages, change: fn(&mut StageColor)) {
+    let colored = stages.rays.iter_mut().flatten();
+    colored
+        .filter_map(|sample| sample.colored.as_mut())
+        .for_each(change);
+}
+
+fn scale(values: &mut [f32]) {
+    values.iter_mut().for_each(|value| *value *= 1.001);
+}
