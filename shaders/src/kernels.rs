@@ -4,8 +4,9 @@ use crate::kernel::{Access, Binding, Kernel, kernel_of};
 use crate::layout::{Block, Level, MarchParams, Ray, RaySample, RaySummary};
 
 pub use crate::training::{
-    COMPOSITE_SAMPLES, GATHER_INPUTS, LAYER_GRADIENTS, NETWORK_BACKWARD, NETWORK_FORWARD,
-    RAY_LOSSES, SCATTER_GRADIENTS, STEP_BRICKS, STEP_NETWORK, STEP_SKY, SUM_STEP,
+    BRICK_VARIATION, COMPOSITE_SAMPLES, GATHER_INPUTS, LAYER_GRADIENTS, NETWORK_BACKWARD,
+    NETWORK_FORWARD, RAY_LOSSES, SCATTER_GRADIENTS, SMOOTH_BRICKS, STEP_BRICKS, STEP_NETWORK,
+    STEP_SKY, SUM_STEP,
 };
 
 /// Marches rays through a density pyramid; one thread a ray.
@@ -48,6 +49,8 @@ pub const ALL: &[Kernel] = &[
     STEP_BRICKS,
     STEP_NETWORK,
     STEP_SKY,
+    BRICK_VARIATION,
+    SMOOTH_BRICKS,
 ];
 
 pub(crate) const fn bind<T>(name: &'static str, access: Access) -> Binding {

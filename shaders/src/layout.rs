@@ -266,3 +266,12 @@ pub struct LayerParams {
     /// Where the biases' blocks begin; 0 for a layer whose bias is the weight of an input.
     pub first_bias: u32,
 }
+
+/// Where a stored brick lies.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
+#[repr(C)]
+pub struct BrickPlace {
+    /// Brick position within its level.
+    pub position: [u32; 3],
+    pub level: u32,
+}

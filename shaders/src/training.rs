@@ -3,8 +3,8 @@
 use crate::kernel::{Access, Kernel, kernel_of};
 use crate::kernels::{bind, bind_array};
 use crate::layout::{
-    Exposure, ExposureGradient, GradientPoint, LayerParams, Level, Moments, Ray, RayLoss,
-    RaySample, RaySummary, RayTarget, SkyGrid, SlotSample, StepState, TrainParams,
+    BrickPlace, Exposure, ExposureGradient, GradientPoint, LayerParams, Level, Moments, Ray,
+    RayLoss, RaySample, RaySummary, RayTarget, SkyGrid, SlotSample, StepState, TrainParams,
 };
 use crate::{BLOCK_FLOATS, LAYER_1_BLOCKS, LAYER_2_BLOCKS, LAYER_3_BLOCKS};
 
@@ -243,4 +243,50 @@ pub const STEP_SKY: Kernel = Kernel {
     ],
     workgroup_size: 64,
     ..kernel_of!("step_sky", "types", "training", "step_sky")
+};
+
+/// Gradients of the touched bricks' total variation; any number of workgroups.
+pub const BRICK_VARIATION: Kernel = Kernel {
+    bindings: &[
+        bind::<TrainParams>("params", Access::Uniform),
+        bind::<Level>("levels", Access::Read),
+        bind::<u32>("brick_index", Access::Read),
+        bind::<BrickPlace>("brick_places", Access::Read),
+        bind::<u32>("touched_bricks", Access::Read),
+        bind::<f32>("density", Access::Read),
+        bind::<Quad>("features_a", Access::Read),
+        bind::<Quad>("features_b", Access::Read),
+        bind::<Quad>("features_c", Access::Read),
+        bind::<f32>("density_gradients", Access::ReadWrite),
+        bind::<Quad>("gradients_a", Access::ReadWrite),
+        bind::<Quad>("gradients_b", Access::ReadWrite),
+        bind::<Quad>("gradients_c", Access::ReadWrite),
+    ],
+    workgroup_size: 64,
+    ..kernel_of!(
+        "brick_variation",
+        "types",
+        "lattice",
+        "training",
+        "brick_variation"
+    )
+};
+
+/// Moves the nodes of touched bricks against those; any number of workgroups.
+pub const SMOOTH_BRICKS: Kernel = Kernel {
+    bindings: &[
+        bind::<TrainParams>("params", Access::Uniform),
+        bind::<StepState>("state", Access::Read),
+        bind::<u32>("touched_bricks", Access::Read),
+        bind::<f32>("density", Access::ReadWrite),
+        bind::<Quad>("features_a", Access::ReadWrite),
+        bind::<Quad>("features_b", Access::ReadWrite),
+        bind::<Quad>("features_c", Access::ReadWrite),
+        bind::<f32>("density_gradients", Access::ReadWrite),
+        bind::<Quad>("gradients_a", Access::ReadWrite),
+        bind::<Quad>("gradients_b", Access::ReadWrite),
+        bind::<Quad>("gradients_c", Access::ReadWrite),
+    ],
+    workgroup_size: 64,
+    ..kernel_of!("smooth_bricks", "types", "training", "smooth_bricks")
 };

@@ -5,8 +5,9 @@ use std::mem::offset_of;
 
 use backlot_shaders::kernels;
 use backlot_shaders::layout::{
-    Block, Exposure, ExposureGradient, GradientPoint, LayerParams, Level, MarchParams, Moments,
-    Ray, RayLoss, RaySample, RaySummary, RayTarget, SkyGrid, SlotSample, StepState, TrainParams,
+    Block, BrickPlace, Exposure, ExposureGradient, GradientPoint, LayerParams, Level, MarchParams,
+    Moments, Ray, RayLoss, RaySample, RaySummary, RayTarget, SkyGrid, SlotSample, StepState,
+    TrainParams,
 };
 
 /// Structs that never leave a kernel, so they have no mirror.
@@ -118,6 +119,7 @@ fn mirrors() -> BTreeMap<String, Layout> {
         mirror!(Exposure { log_gain, bias }),
         mirror!(ExposureGradient { log_gain, bias }),
         mirror!(Moments { mean, square }),
+        mirror!(BrickPlace { position, level }),
         mirror!(LayerParams {
             input_quads,
             output_quads,

@@ -26,6 +26,10 @@ fn scatter_gradients(
     let count = counters[POINT_COUNT];
     for (var p = id.x; p < count; p += groups.x * WORKGROUP_SIZE) {
         let point = points[p];
+        // Nothing to add, and bricks that only such points read are not touched.
+        if point.raw == 0.0 && point.slot == NO_SLOT {
+            continue;
+        }
         for (var l = 0u; l < params.level_count; l++) {
             scatter(point, corners_at(levels[l], point.position_m));
         }

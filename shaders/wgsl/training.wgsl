@@ -151,3 +151,10 @@ struct LayerParams {
     // Where the biases' blocks begin; 0 for a layer whose bias is the weight of an input.
     first_bias: u32,
 }
+
+// Where a stored brick lies.
+struct BrickPlace {
+    // Brick position within its level.
+    position: vec3<u32>,
+    level: u32,
+}

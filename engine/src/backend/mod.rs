@@ -14,6 +14,9 @@ mod marched;
 
 mod trainer;
 
+#[doc(hidden)]
+pub mod bench_scene;
+
 pub mod cpu;
 
 #[cfg(feature = "gpu")]

@@ -24,7 +24,7 @@ mod sampler;
 mod seed;
 mod survey;
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;
 mod validate;
 
 pub use background::train_background;

@@ -123,7 +123,7 @@ fn points(views: &[TrainView]) -> Vec<[f32; 3]> {
         .collect()
 }
 
-pub(super) fn drive() -> BackgroundInput {
+pub(crate) fn drive() -> BackgroundInput {
     let eyes: Vec<DVec3> = (0..10)
         .map(|i| DVec3::new(0.3 * f64::from(i), 0.2, 1.5))
         .collect();
@@ -140,7 +140,7 @@ pub(super) fn drive() -> BackgroundInput {
 }
 
 /// Views from one side only, unless `around`.
-pub(super) fn orbit(around: bool, symmetric: bool) -> ObjectInput {
+pub(crate) fn orbit(around: bool, symmetric: bool) -> ObjectInput {
     let views: Vec<TrainView> = (0..15)
         .map(|i| {
             // Held-out views (2, 7, 12 of 15) are on the other side where only one is trained on.
@@ -163,7 +163,7 @@ pub(super) fn orbit(around: bool, symmetric: bool) -> ObjectInput {
     }
 }
 
-pub(super) fn quick(mut preset: TrainPreset, steps: u64) -> TrainPreset {
+pub(crate) fn quick(mut preset: TrainPreset, steps: u64) -> TrainPreset {
     preset.seconds = 0.0;
     preset.steps = steps;
     preset.most_passes = f64::INFINITY;

@@ -38,6 +38,7 @@ use crate::scene::{self, RenderOptions, RenderedFrame, Scene};
 pub struct GpuBackend {
     device: Device,
     march: Arc<march::MarchDensity>,
+    train_kernels: train::KernelCache,
 }
 
 impl GpuBackend {
@@ -48,7 +49,11 @@ impl GpuBackend {
     pub fn open(choice: &AdapterChoice) -> Result<Self, Error> {
         let device = Device::open(choice)?;
         let march = Arc::new(march::MarchDensity::new(&device)?);
-        Ok(Self { device, march })
+        Ok(Self {
+            device,
+            march,
+            train_kernels: train::KernelCache::default(),
+        })
     }
 
     /// Whether the device is gone; a new one must be opened.
@@ -61,7 +66,7 @@ impl GpuBackend {
     /// # Errors
     /// [`Error::TooLarge`] or [`Error::OutOfMemory`] where it does not fit, and [`Error::Lost`].
     pub fn open_trainer(&self, field: Field) -> Result<GpuTrainer, Error> {
-        GpuTrainer::new(self.device.clone(), field)
+        GpuTrainer::new(self.device.clone(), &self.train_kernels, field)
     }
 
     /// Kernels dispatched on this device so far.

@@ -13,3 +13,5 @@ mod stage_compare;
 mod stages;
 
 mod steps;
+
+mod runs;

@@ -39,6 +39,8 @@ pub(super) struct Bindings {
     pub(super) step_bricks: wgpu::BindGroup,
     pub(super) step_network: wgpu::BindGroup,
     pub(super) step_sky: wgpu::BindGroup,
+    pub(super) variation: wgpu::BindGroup,
+    pub(super) smooth: wgpu::BindGroup,
 }
 
 impl Bindings {
@@ -60,6 +62,8 @@ impl Bindings {
             step_bricks: step_bricks(device, kernels, buffers)?,
             step_network: step_network(device, kernels, buffers)?,
             step_sky: step_sky(device, kernels, buffers)?,
+            variation: variation(device, kernels, buffers)?,
+            smooth: smooth(device, kernels, buffers)?,
         })
     }
 }
@@ -274,4 +278,46 @@ fn step_sky(device: &Device, kernels: &TrainKernels, buffers: Buffers<'_>) -> Bo
         &sky.logits.raw,
     ];
     kernels.step_sky.bind(device, &own)
+}
+
+fn variation(device: &Device, kernels: &TrainKernels, buffers: Buffers<'_>) -> Bound {
+    let lattices = buffers.lattices;
+    let [a, b, c] = &lattices.features;
+    let [by_a, by_b, by_c] = &lattices.feature_gradients;
+    let own = [
+        &buffers.step.params.raw,
+        &lattices.levels.raw,
+        &lattices.brick_index.raw,
+        &lattices.brick_places.raw,
+        &lattices.touched_bricks.raw,
+        &lattices.density.raw,
+        &a.raw,
+        &b.raw,
+        &c.raw,
+        &lattices.density_gradients.raw,
+        &by_a.raw,
+        &by_b.raw,
+        &by_c.raw,
+    ];
+    kernels.variation.bind(device, &own)
+}
+
+fn smooth(device: &Device, kernels: &TrainKernels, buffers: Buffers<'_>) -> Bound {
+    let lattices = buffers.lattices;
+    let [a, b, c] = &lattices.features;
+    let [by_a, by_b, by_c] = &lattices.feature_gradients;
+    let own = [
+        &buffers.step.params.raw,
+        &buffers.step.state.raw,
+        &lattices.touched_bricks.raw,
+        &lattices.density.raw,
+        &a.raw,
+        &b.raw,
+        &c.raw,
+        &lattices.density_gradients.raw,
+        &by_a.raw,
+        &by_b.raw,
+        &by_c.raw,
+    ];
+    kernels.smooth.bind(device, &own)
 }

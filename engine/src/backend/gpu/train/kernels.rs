@@ -1,5 +1,8 @@
 //! The compiled kernels of a training step.
 
+use std::collections::BTreeMap;
+use std::sync::{Arc, Mutex, PoisonError};
+
 use backlot_shaders::{Kernel, kernels};
 
 use super::network::width_blocks;
@@ -7,6 +10,33 @@ use crate::backend::gpu::device::Device;
 use crate::backend::gpu::error::Error;
 use crate::backend::gpu::pipeline::Pipeline;
 use crate::field::mlp::MlpLayout;
+
+/// Compiled kernels by the width of the network, shared by all trainers of a device: drivers take seconds to compile some.
+#[derive(Clone, Debug, Default)]
+pub(in crate::backend::gpu) struct KernelCache {
+    by_width: Arc<Mutex<BTreeMap<usize, Arc<TrainKernels>>>>,
+}
+
+impl KernelCache {
+    /// The kernels for a network, compiled on first use.
+    ///
+    /// # Errors
+    /// [`Error::Rejected`] where the driver does not take a kernel.
+    pub(super) fn get(
+        &self,
+        device: &Device,
+        network: MlpLayout,
+    ) -> Result<Arc<TrainKernels>, Error> {
+        // Only whole sets are ever stored.
+        let mut by_width = self.by_width.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(kernels) = by_width.get(&network.width) {
+            return Ok(Arc::clone(kernels));
+        }
+        let kernels = Arc::new(TrainKernels::new(device, network)?);
+        by_width.insert(network.width, Arc::clone(&kernels));
+        Ok(kernels)
+    }
+}
 
 #[derive(Debug)]
 pub(super) struct TrainKernels {
@@ -22,10 +52,12 @@ pub(super) struct TrainKernels {
     pub(super) step_bricks: Pipeline,
     pub(super) step_network: Pipeline,
     pub(super) step_sky: Pipeline,
+    pub(super) variation: Pipeline,
+    pub(super) smooth: Pipeline,
 }
 
 impl TrainKernels {
-    pub(super) fn new(device: &Device, network: MlpLayout) -> Result<Self, Error> {
+    fn new(device: &Device, network: MlpLayout) -> Result<Self, Error> {
         let plain = |kernel: &Kernel| Pipeline::new(device, kernel);
         let width = [("WIDTH_BLOCKS", width_blocks(network) as f64)];
         let wide = |kernel: &Kernel| Pipeline::with(device, kernel, &width);
@@ -42,6 +74,8 @@ impl TrainKernels {
             step_bricks: plain(&kernels::STEP_BRICKS)?,
             step_network: plain(&kernels::STEP_NETWORK)?,
             step_sky: plain(&kernels::STEP_SKY)?,
+            variation: plain(&kernels::BRICK_VARIATION)?,
+            smooth: plain(&kernels::SMOOTH_BRICKS)?,
         })
     }
 }

@@ -53,6 +53,7 @@ pub(super) struct Lattices {
     /// 1 for bricks in the list of `touched_bricks`, which starts with their number.
     pub(super) brick_marks: Buffer<u32>,
     pub(super) touched_bricks: Buffer<u32>,
+    pub(super) brick_places: Buffer<layout::BrickPlace>,
     /// The field's constants; the dispatch's fields are zero.
     pub(super) params: layout::MarchParams,
 }
@@ -107,6 +108,12 @@ impl Lattices {
             )?,
             brick_marks: Buffer::zeroed(device, "brick marks", bricks, storage)?,
             touched_bricks: Buffer::zeroed(device, "touched bricks", bricks + 1, storage)?,
+            brick_places: Buffer::from_slice(
+                device,
+                "brick places",
+                &brick_places(field.levels()),
+                storage,
+            )?,
             params: params(field),
         })
     }
@@ -156,4 +163,20 @@ fn joined_quads(levels: &[Lattice], quad: usize) -> Vec<Quad> {
         values.extend(own.map(|features: &[f32; FEATURES]| features.as_chunks::<4>().0[quad]));
     }
     values
+}
+
+/// Where every brick lies, the null brick first.
+fn brick_places(levels: &[Lattice]) -> Vec<layout::BrickPlace> {
+    let mut places = vec![layout::BrickPlace::default()];
+    for (level, lattice) in (0..).zip(levels) {
+        places.extend(
+            lattice.positions()[1..]
+                .iter()
+                .map(|position| layout::BrickPlace {
+                    position: position.map(u32::from),
+                    level,
+                }),
+        );
+    }
+    places
 }

@@ -15,11 +15,14 @@ mod rays;
 mod sky;
 mod state;
 
+use std::sync::Arc;
+
 use backlot_shaders::layout;
 use wgpu::BufferUsages;
 
 use batch::{Batch, Capacity, most_samples};
 use bindings::{Bindings, Buffers};
+pub(super) use kernels::KernelCache;
 use kernels::TrainKernels;
 use lattices::{Lattices, LevelSquares};
 use network::{ResidentNetwork, gradient_tiles, layer_params};
@@ -54,7 +57,7 @@ pub struct GpuSums {
 #[derive(Debug)]
 pub struct GpuTrainer {
     device: Device,
-    kernels: TrainKernels,
+    kernels: Arc<TrainKernels>,
     /// As of the last [`Self::fetch`], but for the bricks, which are always up to date.
     field: Field,
     squares: Vec<LevelSquares>,
@@ -80,10 +83,10 @@ impl GpuTrainer {
     ///
     /// # Errors
     /// [`Error::TooLarge`] or [`Error::OutOfMemory`] where it does not fit, [`Error::Lost`] and [`Error::Rejected`].
-    pub(super) fn new(device: Device, field: Field) -> Result<Self, Error> {
+    pub(super) fn new(device: Device, kernels: &KernelCache, field: Field) -> Result<Self, Error> {
         let network = field.mlp.layout();
         let mut trainer = Self {
-            kernels: TrainKernels::new(&device, network)?,
+            kernels: kernels.get(&device, network)?,
             march_params: Buffer::zeroed(&device, "march parameters", 1, BufferUsages::UNIFORM)?,
             step: StepBuffers::new(&device, network)?,
             network: ResidentNetwork::upload(&device, &field.mlp)?,
@@ -151,7 +154,8 @@ impl GpuTrainer {
     /// [`RayLosses::depth_trim_m`] is ignored.
     ///
     /// # Errors
-    /// [`crate::Error::Cancelled`], after which the trainer is of no more use, and the device's.
+    /// [`crate::Error::Invalid`] for rates of exposures or poses, [`crate::Error::Cancelled`], after which the trainer is of no more
+    /// use, and the device's.
     pub fn step(
         &mut self,
         rays: &[TrainRay],
@@ -160,6 +164,11 @@ impl GpuTrainer {
         trim_quantile: f64,
         cancelled: &dyn Fn() -> bool,
     ) -> crate::Result<()> {
+        if rates.exposure > 0.0 || rates.pose_m > 0.0 {
+            return Err(crate::Error::invalid(
+                "views' exposures and poses are learned on the processor only: choose device cpu",
+            ));
+        }
         self.upload(rays.len())?;
         let mut params = step_params(&self.field, losses, rates, self.steps);
         params.step_ray_count = rays.len() as u32;
@@ -179,6 +188,25 @@ impl GpuTrainer {
         self.submit_update(params)?;
         self.steps += 1;
         Ok(())
+    }
+
+    /// The colours of all samples of `rays`, for timing; waits for them.
+    ///
+    /// # Errors
+    /// The device's.
+    #[doc(hidden)]
+    pub fn forward(&mut self, rays: &[TrainRay], losses: &RayLosses) -> Result<(), Error> {
+        self.upload(rays.len())?;
+        let mut params = step_params(&self.field, losses, Rates::default(), 0);
+        let batch = self
+            .batch
+            .as_ref()
+            .map_or(1, |batch| batch.capacity.rays as usize);
+        for rays in rays.chunks(batch) {
+            params.ray_count = rays.len() as u32;
+            self.submit_forward(rays, params)?;
+        }
+        self.device.wait()
     }
 
     /// What the last step summed; waits for it.
@@ -328,6 +356,10 @@ impl GpuTrainer {
         let mut sequence = Sequence::new(device, "training update");
         sequence.run(&kernels.sum, &bindings.sum, Groups { x: 1, y: 1 });
         sequence.run(&kernels.step_bricks, &bindings.step_bricks, free);
+        if params.density_variation_rate > 0.0 || params.feature_variation_rate > 0.0 {
+            sequence.run(&kernels.variation, &bindings.variation, free);
+            sequence.run(&kernels.smooth, &bindings.smooth, free);
+        }
         sequence.clear(&lattices.touched_bricks.raw, 4);
         sequence.run(&kernels.step_network, &bindings.step_network, per_weight);
         self.network.spread(&mut sequence);
