@@ -11,6 +11,7 @@ use std::sync::Mutex;
 
 use anyhow::{Context, Result, bail, ensure};
 use backlot_client::generator::{StreetConfig, StreetWorld};
+use backlot_engine::backend::cpu::CpuBackend;
 use backlot_engine::train::{
     BackgroundInput, Budget, Progress, Stage, TrainControl, TrainPreset, train_background,
 };
@@ -82,7 +83,7 @@ fn main() -> Result<()> {
         input.lidar_points.len()
     );
     let watch = Watch::new(&arguments, &input);
-    let trained = train_background(&input, &preset, arguments.seed, &watch)?;
+    let trained = train_background(&input, &preset, arguments.seed, &CpuBackend, &watch)?;
     let train_s = trained.quality.train_seconds;
     let rss_mib = peak_rss_mib();
     let state = watch.state.into_inner().expect("no thread panicked");
@@ -198,15 +199,17 @@ impl TrainControl for Watch<'_> {
         }
     }
 
-    fn inspect(&self, progress: Progress, field: &Field) {
+    fn looks(&self, progress: Progress) -> bool {
         let train_s = self.seconds();
         let mut state = self.state.lock().expect("no thread panicked");
         state.steps = progress.step;
-        let due = self.looks_s.iter().filter(|at| train_s >= **at).count();
-        if due <= state.looked {
-            return;
-        }
-        state.looked = due;
+        self.looks_s.iter().filter(|at| train_s >= **at).count() > state.looked
+    }
+
+    fn inspect(&self, _: Progress, field: &Field) {
+        let train_s = self.seconds();
+        let mut state = self.state.lock().expect("no thread panicked");
+        state.looked = self.looks_s.iter().filter(|at| train_s >= **at).count();
         let before_s = self.clock.seconds();
         let psnr_held_out = psnr_held_out(field, &self.input.views);
         let peak_rss_mib = peak_rss_mib();
