@@ -40,6 +40,52 @@ pub fn rigid_from_wire(rigid: Option<&v1::RigidTransform>) -> Rigid {
     Rigid::new(rotation, vector_from_wire(rigid.translation_m.as_ref()))
 }
 
+/// A camera of the manifest; no distortion is an absent one.
+pub fn camera_to_wire(camera_id: &str, camera: &Camera, ego_from_camera: &Rigid) -> v1::Camera {
+    let distortion = match camera.distortion {
+        Distortion::None => None,
+        Distortion::BrownConrady { k } => Some((v1::DistortionModel::BrownConrady, k.to_vec())),
+        Distortion::KannalaBrandt { k } => Some((v1::DistortionModel::KannalaBrandt, k.to_vec())),
+    };
+    v1::Camera {
+        camera_id: camera_id.to_owned(),
+        width: camera.width,
+        height: camera.height,
+        focal_x_px: camera.focal_px.x,
+        focal_y_px: camera.focal_px.y,
+        principal_x_px: camera.principal_px.x,
+        principal_y_px: camera.principal_px.y,
+        distortion: distortion.map(|(model, coefficients)| v1::Distortion {
+            model: model.into(),
+            coefficients,
+        }),
+        ego_from_camera: Some(rigid_to_wire(ego_from_camera)),
+    }
+}
+
+/// The model of a camera of the manifest; `None` if its distortion has the wrong number of coefficients.
+pub fn camera_from_wire(camera: &v1::Camera) -> Option<Camera> {
+    let distortion = match &camera.distortion {
+        None => Distortion::None,
+        Some(given) => match given.model() {
+            v1::DistortionModel::Unspecified => Distortion::None,
+            v1::DistortionModel::BrownConrady => Distortion::BrownConrady {
+                k: given.coefficients.as_slice().try_into().ok()?,
+            },
+            v1::DistortionModel::KannalaBrandt => Distortion::KannalaBrandt {
+                k: given.coefficients.as_slice().try_into().ok()?,
+            },
+        },
+    };
+    Some(Camera {
+        width: camera.width,
+        height: camera.height,
+        focal_px: DVec2::new(camera.focal_x_px, camera.focal_y_px),
+        principal_px: DVec2::new(camera.principal_x_px, camera.principal_y_px),
+        distortion,
+    })
+}
+
 /// The camera model of a rendered view, which has no distortion.
 pub fn camera_of_view(view: &v1::CameraView) -> Camera {
     Camera {

@@ -6,7 +6,12 @@ pub mod read_log;
 
 pub mod generator;
 
+pub mod argoverse;
 pub mod kitti;
+pub mod nuscenes;
+pub mod waymo;
+
+pub mod log_format;
 
 pub mod geometry;
 pub mod motion;
@@ -24,6 +29,8 @@ pub mod labels;
 pub mod sample_files;
 
 pub mod picture;
+
+pub mod inspect;
 
 pub use connection::Connection;
 pub use error::{Error, Result};

@@ -146,6 +146,12 @@ async fn read_source(source: &BlobSource) -> Result<Bytes> {
             let content = tokio::fs::read(path).await;
             Ok(content.map_err(|e| Error::io(path, e))?.into())
         }
+        BlobSource::Spooled { .. } => {
+            let source = source.clone();
+            let content = tokio::task::spawn_blocking(move || source.read()).await;
+            let content = content.unwrap_or_else(|e| Err(std::io::Error::other(e)));
+            content.map_err(|e| Error::io(&std::env::temp_dir(), e))
+        }
     }
 }
 
@@ -175,10 +181,7 @@ async fn write_rest(
         size_bytes: content.len() as u64,
     };
     let messages = stream::iter(chunk_messages(blob, content.clone(), start));
-    let doing = match source {
-        BlobSource::File(path) => format!("uploading {}", path.display()),
-        BlobSource::Memory(_) => format!("uploading blob {digest}"),
-    };
+    let doing = format!("uploading {}", source.describe(digest));
     let reply = connection
         .blobs()
         .write_blob(messages)

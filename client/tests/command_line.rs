@@ -11,8 +11,9 @@ fn backlot(arguments: &[&str]) -> Output {
 
 #[test]
 fn every_command_of_the_contract_explains_itself() {
-    let commands: [&[&str]; 11] = [
+    let commands: [&[&str]; 12] = [
         &["logs", "upload"],
+        &["logs", "inspect"],
         &["logs", "list"],
         &["logs", "show"],
         &["jobs", "submit"],

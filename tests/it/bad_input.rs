@@ -1,8 +1,6 @@
 //! Bad input: every case gets a status that names its cause, and the library stays as it was.
 
-use std::path::Path;
-
-use backlot_client::read_log::{BlobSource, ReadLog};
+use backlot_client::read_log::ReadLog;
 use backlot_client::{Connection, upload};
 use backlot_e2e::programs::finish;
 use backlot_e2e::state::Library;
@@ -400,16 +398,7 @@ async fn write_blob(
 }
 
 fn content(log: &ReadLog, digest: &str) -> Bytes {
-    match &log.blobs[digest] {
-        BlobSource::Memory(content) => content.clone(),
-        BlobSource::File(path) => read(path),
-    }
-}
-
-fn read(path: &Path) -> Bytes {
-    std::fs::read(path)
-        .expect("the blob's file is readable")
-        .into()
+    log.blobs[digest].read().expect("the blob is readable")
 }
 
 fn status_of(error: backlot_client::Error) -> Status {

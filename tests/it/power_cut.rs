@@ -4,7 +4,7 @@
 //! `cargo test -p backlot-e2e --test it power_cut -- --ignored --nocapture`; `BACKLOT_KILL_SEED=N` repeats a run.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::time::{Duration, SystemTime};
 
 use backlot_client::read_log::{BlobSource, ReadLog};
@@ -12,7 +12,6 @@ use backlot_client::{Connection, download, listing, watch};
 use backlot_e2e::logs;
 use backlot_e2e::server::{Server, free_port};
 use backlot_proto::v1;
-use bytes::Bytes;
 
 #[tokio::test]
 async fn six_kills_lose_nothing_acknowledged() {
@@ -335,10 +334,7 @@ async fn reaches(connection: &Connection, name: &str, stage: &str) -> bool {
 
 /// Writes a blob in small chunks; false if the connection broke before the acknowledgement.
 async fn write_blob(connection: &Connection, digest: &str, source: &BlobSource) -> bool {
-    let content = match source {
-        BlobSource::Memory(content) => content.clone(),
-        BlobSource::File(path) => read(path),
-    };
+    let content = source.read().expect("the blob is readable");
     let blob = v1::BlobRef {
         digest: digest.to_owned(),
         size_bytes: content.len() as u64,
@@ -361,12 +357,6 @@ async fn write_blob(connection: &Connection, digest: &str, source: &BlobSource) 
         .write_blob(futures::stream::iter(messages))
         .await;
     reply.is_ok_and(|reply| reply.into_inner().committed_bytes == content.len() as u64)
-}
-
-fn read(path: &Path) -> Bytes {
-    std::fs::read(path)
-        .expect("the blob's file is readable")
-        .into()
 }
 
 /// Chosen by the clock, and printed, so that runs differ and can be repeated.

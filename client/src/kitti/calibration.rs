@@ -1,4 +1,4 @@
-//! Calibration folder of a KITTI raw recording day.
+//! Calibration: the folder of a KITTI raw recording day, or the file of a tracking sequence.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -6,8 +6,8 @@ use std::path::{Path, PathBuf};
 use backlot_engine::camera::{Camera, Distortion, Rigid};
 use glam::{DQuat, DVec2, DVec3};
 
-use super::error::{Error, Result};
 use super::text;
+use crate::read_log::{Error, Result};
 
 /// The rectified left colour camera and its place on the car.
 #[derive(Clone, Debug)]
@@ -18,8 +18,15 @@ pub(super) struct Calibration {
     pub camera2_from_camera0: Rigid,
     /// Rectified camera 0 from Velodyne: `R_rect_00` after `calib_velo_to_cam`.
     pub camera0_from_velodyne: Rigid,
-    /// Where the sensor extrinsics of the IMU are; read only when oxts is used.
-    imu_path: PathBuf,
+    imu: Imu,
+}
+
+/// The place of the IMU, which only oxts needs.
+#[derive(Clone, Debug)]
+enum Imu {
+    /// A file that is read when it is needed.
+    File(PathBuf),
+    Known(Rigid),
 }
 
 impl Calibration {
@@ -30,34 +37,31 @@ impl Calibration {
     pub(super) fn read(folder: &Path) -> Result<Self> {
         let cameras = Entries::read(folder.join("calib_cam_to_cam.txt"))?;
         let [width, height] = cameras.numbers::<2>("S_rect_02")?;
-        let p = cameras.numbers::<12>("P_rect_02")?;
-        let camera = Camera {
-            width: width as u32,
-            height: height as u32,
-            focal_px: DVec2::new(p[0], p[5]),
-            principal_px: DVec2::new(p[2], p[6]),
-            distortion: Distortion::None,
-        };
-        camera
-            .validate("P_rect_02")
-            .map_err(|e| Error::malformed(&cameras.path, e.to_string()))?;
-        // P = K [I | t], so t = K^-1 p4. KITTI counts pixels from the centre of the first one, the
-        // manifest from its corner: the half pixel belongs to the principal point and not to t.
-        let t = DVec3::new(
-            (p[3] - p[2] * p[11]) / p[0],
-            (p[7] - p[6] * p[11]) / p[5],
-            p[11],
-        );
+        let (camera, camera2_from_camera0) =
+            cameras.projection("P_rect_02", (width as u32, height as u32))?;
         let rectify = Rigid::new(cameras.rotation("R_rect_00")?, DVec3::ZERO);
         let velodyne = Entries::read(folder.join("calib_velo_to_cam.txt"))?;
         Ok(Self {
-            camera: Camera {
-                principal_px: camera.principal_px + 0.5,
-                ..camera
-            },
-            camera2_from_camera0: Rigid::new(DQuat::IDENTITY, t),
+            camera,
+            camera2_from_camera0,
             camera0_from_velodyne: rectify * velodyne.rigid()?,
-            imu_path: folder.join("calib_imu_to_velo.txt"),
+            imu: Imu::File(folder.join("calib_imu_to_velo.txt")),
+        })
+    }
+
+    /// Reads the file of a tracking sequence, whose images have `size` pixels.
+    ///
+    /// # Errors
+    /// As for [`Self::read`].
+    pub(super) fn read_tracking(path: &Path, size: (u32, u32)) -> Result<Self> {
+        let entries = Entries::read(path.to_owned())?;
+        let (camera, camera2_from_camera0) = entries.projection("P2", size)?;
+        let rectify = Rigid::new(entries.rotation("R_rect")?, DVec3::ZERO);
+        Ok(Self {
+            camera,
+            camera2_from_camera0,
+            camera0_from_velodyne: rectify * entries.rigid_of("Tr_velo_cam")?,
+            imu: Imu::Known(entries.rigid_of("Tr_imu_velo")?),
         })
     }
 
@@ -65,9 +69,11 @@ impl Calibration {
         (self.camera2_from_camera0 * self.camera0_from_velodyne).inverse()
     }
 
-    /// Reads `calib_imu_to_velo.txt`.
     pub(super) fn velodyne_from_imu(&self) -> Result<Rigid> {
-        Entries::read(self.imu_path.clone())?.rigid()
+        match &self.imu {
+            Imu::File(path) => Entries::read(path.clone())?.rigid(),
+            Imu::Known(velodyne_from_imu) => Ok(*velodyne_from_imu),
+        }
     }
 }
 
@@ -80,14 +86,15 @@ struct Entries {
 
 impl Entries {
     fn read(path: PathBuf) -> Result<Self> {
-        let hint = "the calibration folder must hold calib_cam_to_cam.txt, calib_velo_to_cam.txt and, \
-                    for oxts, calib_imu_to_velo.txt (name it with --calib-dir)";
+        let hint = "a raw drive needs a calibration folder with calib_cam_to_cam.txt, calib_velo_to_cam.txt and, for oxts, \
+                    calib_imu_to_velo.txt (name it with --calib-dir); a tracking sequence needs calib/<sequence>.txt";
         let content = text::read(&path, hint)?;
         let lines = content
             .lines()
             .enumerate()
             .filter_map(|(i, line)| {
-                let (key, values) = line.split_once(':')?;
+                // Some keys of the tracking benchmark have no colon.
+                let (key, values) = line.split_once(':').or_else(|| line.split_once(' '))?;
                 Some((key.trim().to_owned(), (i + 1, values.trim().to_owned())))
             })
             .collect();
@@ -110,6 +117,38 @@ impl Entries {
     fn rotation(&self, key: &str) -> Result<DQuat> {
         let rows = self.numbers::<9>(key)?;
         text::rotation(&self.path, self.line(key)?.0, key, &rows)
+    }
+
+    /// A camera of `size` pixels and its offset from camera 0, from a 3x4 projection matrix.
+    fn projection(&self, key: &str, size: (u32, u32)) -> Result<(Camera, Rigid)> {
+        let p = self.numbers::<12>(key)?;
+        let camera = Camera {
+            width: size.0,
+            height: size.1,
+            focal_px: DVec2::new(p[0], p[5]),
+            // KITTI counts pixels from the centre of the first one, the manifest from its corner: the half pixel
+            // belongs to the principal point and not to the offset.
+            principal_px: DVec2::new(p[2], p[6]) + 0.5,
+            distortion: Distortion::None,
+        };
+        camera
+            .validate(key)
+            .map_err(|e| Error::malformed(&self.path, e.to_string()))?;
+        // P = K [I | t], so t = K^-1 p4.
+        let t = DVec3::new(
+            (p[3] - p[2] * p[11]) / p[0],
+            (p[7] - p[6] * p[11]) / p[5],
+            p[11],
+        );
+        Ok((camera, Rigid::new(DQuat::IDENTITY, t)))
+    }
+
+    /// A 3x4 matrix.
+    fn rigid_of(&self, key: &str) -> Result<Rigid> {
+        let m = self.numbers::<12>(key)?;
+        let rows = [m[0], m[1], m[2], m[4], m[5], m[6], m[8], m[9], m[10]];
+        let rotation = text::rotation(&self.path, self.line(key)?.0, key, &rows)?;
+        Ok(Rigid::new(rotation, DVec3::new(m[3], m[7], m[11])))
     }
 
     /// The `R:` and `T:` lines of an extrinsic file.

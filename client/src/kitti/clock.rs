@@ -3,8 +3,8 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use super::error::{Error, Result};
 use super::text;
+use crate::read_log::{Error, Result};
 
 /// KITTI's Velodyne turns, and triggers the cameras, a little slower than 10 Hz.
 const ASSUMED_INTERVAL_NS: i64 = 103_300_000;

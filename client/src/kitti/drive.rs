@@ -2,13 +2,11 @@
 
 use std::collections::BTreeMap;
 use std::fs::File;
-use std::io::{BufReader, Cursor};
+use std::io::BufReader;
 use std::path::{Path, PathBuf};
 
+use crate::read_log::{Error, Result, blob_ref};
 use backlot_proto::v1;
-use image::ImageReader;
-
-use super::error::{Error, Result};
 
 /// Bytes of one Velodyne point: four little-endian f32.
 const POINT_BYTES: usize = 16;
@@ -38,24 +36,10 @@ pub(super) fn frame_files(folder: &Path, extensions: &[&str]) -> Result<BTreeMap
     Ok(files)
 }
 
-/// Reads an image to its end and checks that it decodes and has the calibrated size.
-pub(super) fn check_image(path: &Path, width: u32, height: u32) -> Result<v1::BlobRef> {
-    let content = std::fs::read(path).map_err(|e| Error::io(path, e, ""))?;
-    let reader = ImageReader::new(Cursor::new(&content))
-        .with_guessed_format()
-        .map_err(|e| Error::io(path, e, ""))?;
-    let image = reader
-        .decode()
-        .map_err(|e| Error::malformed(path, format!("the image does not decode: {e}")))?;
-    if (image.width(), image.height()) != (width, height) {
-        let what = format!(
-            "the image has {}x{} pixels, S_rect_02 of the calibration says {width}x{height}",
-            image.width(),
-            image.height()
-        );
-        return Err(Error::malformed(path, what));
-    }
-    Ok(blob_ref(&content))
+/// Width and height of an image, from its header.
+pub(super) fn image_size(path: &Path) -> Result<(u32, u32)> {
+    let does_not_decode = |e| Error::malformed(path, format!("the image does not decode: {e}"));
+    image::image_dimensions(path).map_err(does_not_decode)
 }
 
 /// Reads a sweep to its end and checks that it is whole points with finite positions.
@@ -89,11 +73,4 @@ pub(super) fn first_byte(path: &Path, hint: &str) -> Result<Option<u8>> {
         }
     }
     Ok(None)
-}
-
-fn blob_ref(content: &[u8]) -> v1::BlobRef {
-    v1::BlobRef {
-        digest: blake3::hash(content).to_hex().to_string(),
-        size_bytes: content.len() as u64,
-    }
 }

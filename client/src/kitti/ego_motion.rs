@@ -4,15 +4,13 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use backlot_engine::camera::Rigid;
-use backlot_proto::v1;
 use glam::DVec3;
 
 use super::calibration::Calibration;
 use super::clock::Clock;
-use super::error::{Error, Result};
-use super::trajectory::Trajectory;
 use super::{drive, poses};
-use crate::geometry::rigid_to_wire;
+use crate::read_log::trajectory::Trajectory;
+use crate::read_log::{Error, Result};
 
 /// Ego poses at the image times, from poses of camera 0 given by frame.
 pub(super) fn from_odometry(
@@ -71,22 +69,33 @@ pub(super) fn from_oxts(
             "{unused} oxts packets of frames without an image ignored"
         ));
     }
-    let velodyne_from_imu = calibration.velodyne_from_imu()?;
     let poses = poses::read_oxts(&files)?;
+    from_packets(&poses, &clock, calibration, frames, &folder)
+}
+
+/// Ego poses at the packets' times, from poses of the IMU given by frame; `source` is where they are from.
+pub(super) fn from_packets(
+    poses: &BTreeMap<u32, Rigid>,
+    clock: &Clock,
+    calibration: &Calibration,
+    frames: &BTreeMap<u32, i64>,
+    source: &Path,
+) -> Result<(Trajectory, Rigid)> {
+    let velodyne_from_imu = calibration.velodyne_from_imu()?;
     let mut world_from_ego = BTreeMap::new();
     let mut origin_m = None;
     for (frame, &image_time) in frames {
         let what = || format!("no packet for frame {frame}, which has an image");
         let pose = *poses
             .get(frame)
-            .ok_or_else(|| Error::malformed(&folder, what()))?;
+            .ok_or_else(|| Error::malformed(source, what()))?;
         let mut pose = pose * velodyne_from_imu.inverse();
         pose.translation_m -= *origin_m.get_or_insert(pose.translation_m);
-        let time = match &clock {
+        let time = match clock {
             Clock::Assumed => image_time,
             Clock::Read(_) => clock.at(*frame).unwrap_or(image_time),
         };
-        insert_pose(&mut world_from_ego, *frame, time, pose, &folder)?;
+        insert_pose(&mut world_from_ego, *frame, time, pose, source)?;
     }
     let trajectory = Trajectory::new(world_from_ego);
     let first_heading = trajectory.poses()[0].1.heading_rad();
@@ -108,29 +117,4 @@ fn insert_pose(
     }
     poses.insert(time, pose);
     Ok(())
-}
-
-/// Sweeps and images may lie just outside the poses: the trajectory is extended to them.
-pub(super) fn cover_times(
-    trajectory: &mut Trajectory,
-    log: &v1::DriveLog,
-    notes: &mut Vec<String>,
-) {
-    let images = log.frames.iter().map(|frame| frame.timestamp_ns);
-    let sweeps = log.sweeps.iter().map(|sweep| sweep.timestamp_ns);
-    let times: Vec<i64> = images.chain(sweeps).collect();
-    let (Some(&first), Some(&last)) = (times.iter().min(), times.iter().max()) else {
-        return;
-    };
-    if trajectory.cover(first, last) {
-        notes.push("ego poses extrapolated to the first or last image or sweep".to_owned());
-    }
-}
-
-pub(super) fn timed_poses(trajectory: &Trajectory) -> Vec<v1::TimedPose> {
-    let timed = trajectory.poses().iter().map(|(time, pose)| v1::TimedPose {
-        timestamp_ns: *time,
-        pose: Some(rigid_to_wire(pose)),
-    });
-    timed.collect()
 }

@@ -1,16 +1,14 @@
-//! Reader of KITTI raw drives.
+//! Readers of KITTI: raw drives, and sequences of the tracking benchmark.
 //!
 //! The ego frame is the Velodyne's (x forward, y left, z up). With a pose file the world is the ego frame of the first frame
 //! used; with oxts it is east, north, up with its origin there, and the log's local frame is turned to the first heading.
 
-mod error;
 mod text;
 
 mod calibration;
 mod clock;
 mod drive;
 mod poses;
-mod trajectory;
 
 mod ego_motion;
 mod sensors;
@@ -19,20 +17,23 @@ mod boxes;
 mod tracking_labels;
 mod tracklets;
 
+mod tracking;
+
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use backlot_proto::v1;
 
-use crate::geometry::{rigid_to_wire, vector_to_wire};
+use crate::geometry::{camera_to_wire, rigid_to_wire, vector_to_wire};
 use crate::read_log::ReadLog;
+use crate::read_log::trajectory::Trajectory;
+pub use crate::read_log::{Error, Result};
 use boxes::LabelledTrack;
 use calibration::Calibration;
 use clock::Clock;
-pub use error::{Error, Result};
+pub use tracking::{KittiTrackingInputs, is_kitti_tracking, read_kitti_tracking};
 #[cfg(test)]
 pub(crate) use tracking_labels::camera_from_cuboid_rotation;
-use trajectory::Trajectory;
 
 /// Where the parts of a drive are.
 #[derive(Clone, Debug)]
@@ -47,6 +48,11 @@ pub struct KittiInputs {
     pub tracks: Option<PathBuf>,
 }
 
+/// True for a folder that [`read_kitti_raw`] can read.
+pub fn is_kitti_raw(path: &Path) -> bool {
+    path.join("image_02/data").is_dir()
+}
+
 /// Reads a drive: left colour images, Velodyne sweeps, ego poses and tracks.
 ///
 /// Poses, boxes and sweeps of frames without an image are left out with a note in the manifest.
@@ -55,7 +61,8 @@ pub struct KittiInputs {
 /// Names the file, and the line and field or the frame, that is missing or unusable.
 pub fn read_kitti_raw(inputs: &KittiInputs) -> Result<ReadLog> {
     let drive = &inputs.drive_dir;
-    let images = sensors::image_files(drive)?;
+    let hint = "PATH must be a KITTI raw drive folder (..._sync) with images in image_02/data";
+    let images = sensors::image_files(&drive.join("image_02/data"), hint)?;
     let calibration = Calibration::read(&calibration_folder(inputs))?;
     let clock = Clock::read(&drive.join("image_02"))?;
     let mut notes = Vec::new();
@@ -63,22 +70,33 @@ pub fn read_kitti_raw(inputs: &KittiInputs) -> Result<ReadLog> {
         notes
             .push("no image_02/timestamps.txt: frames are assumed to be 0.1033 s apart".to_owned());
     }
-    let frames = sensors::frame_times(drive, &images, &clock)?;
-    let (mut trajectory, local_from_world) = match &inputs.poses {
+    let frames = sensors::frame_times(&drive.join("image_02/timestamps.txt"), &images, &clock)?;
+    let (trajectory, local_from_world) = match &inputs.poses {
         Some(path) => ego_motion::from_odometry(path, &calibration, &frames, &mut notes)?,
         None => ego_motion::from_oxts(drive, &calibration, &frames, &mut notes)?,
     };
     let mut log = ReadLog::default();
     sensors::add_frames(&mut log, &images, &frames, &calibration)?;
-    sensors::add_sweeps(&mut log, drive, &frames, &mut notes)?;
+    let velodyne = drive.join("velodyne_points");
+    let clock = Clock::read(&velodyne)?;
+    sensors::add_sweeps(
+        &mut log,
+        &velodyne.join("data"),
+        &clock,
+        &frames,
+        &mut notes,
+    )?;
     let tracks = read_tracks(inputs, &calibration, &mut notes)?;
     log.drive_log.tracks = place_tracks(&tracks, &frames, &trajectory, &mut notes);
-    ego_motion::cover_times(&mut trajectory, &log.drive_log, &mut notes);
-    log.drive_log.world_from_ego = ego_motion::timed_poses(&trajectory);
+    log.drive_log.notes = notes;
+    trajectory.record(&mut log.drive_log);
     log.drive_log.dataset = "kitti-raw".to_owned();
     log.drive_log.local_from_world = Some(rigid_to_wire(&local_from_world));
-    log.drive_log.cameras = vec![wire_camera(&calibration)];
-    log.drive_log.notes = notes;
+    log.drive_log.cameras = vec![camera_to_wire(
+        sensors::CAMERA_ID,
+        &calibration.camera,
+        &calibration.velodyne_from_camera2(),
+    )];
     Ok(log)
 }
 
@@ -151,21 +169,6 @@ fn place_tracks(
         ));
     }
     placed
-}
-
-fn wire_camera(calibration: &Calibration) -> v1::Camera {
-    let camera = &calibration.camera;
-    v1::Camera {
-        camera_id: sensors::CAMERA_ID.to_owned(),
-        width: camera.width,
-        height: camera.height,
-        focal_x_px: camera.focal_px.x,
-        focal_y_px: camera.focal_px.y,
-        principal_x_px: camera.principal_px.x,
-        principal_y_px: camera.principal_px.y,
-        distortion: None,
-        ego_from_camera: Some(rigid_to_wire(&calibration.velodyne_from_camera2())),
-    }
 }
 
 #[cfg(test)]

@@ -7,8 +7,8 @@ use std::path::Path;
 use backlot_engine::camera::Rigid;
 use glam::{DMat3, DQuat, DVec3};
 
-use super::error::{Error, Result};
 use super::text;
+use crate::read_log::{Error, Result};
 
 /// Radius of the sphere of the KITTI development kit's Mercator projection, in metres.
 const EARTH_RADIUS_M: f64 = 6_378_137.0;
@@ -33,15 +33,35 @@ pub(super) fn read_odometry(path: &Path) -> Result<BTreeMap<u32, Rigid>> {
     Ok(poses)
 }
 
-/// Reads `world_from_imu` by frame from the given packets; the world is east, north, up.
-///
-/// As the KITTI development kit does: a Mercator projection scaled at the first packet's latitude, altitude as z, and the
-/// rotation Rz(yaw) Ry(pitch) Rx(roll).
+/// Reads `world_from_imu` by frame from a file for each packet.
 pub(super) fn read_oxts(files: &BTreeMap<u32, impl AsRef<Path>>) -> Result<BTreeMap<u32, Rigid>> {
+    let packets = files.iter().map(|(&frame, path)| {
+        let path = path.as_ref();
+        Ok((frame, Packet::parse(path, 1, &text::read(path, "")?)?))
+    });
+    place(packets)
+}
+
+/// Reads `world_from_imu` by frame from a file whose line `i` is the packet of frame `i`.
+pub(super) fn read_oxts_lines(path: &Path) -> Result<BTreeMap<u32, Rigid>> {
+    let content = text::read(
+        path,
+        "a tracking sequence has its ego poses in oxts/<sequence>.txt",
+    )?;
+    let packets = content
+        .lines()
+        .enumerate()
+        .filter(|(_, line)| !line.trim().is_empty());
+    place(packets.map(|(i, line)| Ok((i as u32, Packet::parse(path, i + 1, line)?))))
+}
+
+/// The world is east, north, up. As the KITTI development kit does: a Mercator projection scaled at the first packet's latitude,
+/// altitude as z, and the rotation Rz(yaw) Ry(pitch) Rx(roll).
+fn place(packets: impl Iterator<Item = Result<(u32, Packet)>>) -> Result<BTreeMap<u32, Rigid>> {
     let mut scale = None;
     let mut poses = BTreeMap::new();
-    for (&frame, path) in files {
-        let packet = Packet::read(path.as_ref())?;
+    for packet in packets {
+        let (frame, packet) = packet?;
         let scale = *scale.get_or_insert_with(|| libm::cos(packet.latitude_deg * PI / 180.0));
         poses.insert(frame, packet.world_from_imu(scale));
     }
@@ -59,16 +79,15 @@ struct Packet {
 }
 
 impl Packet {
-    fn read(path: &Path) -> Result<Self> {
+    fn parse(path: &Path, line: usize, content: &str) -> Result<Self> {
         const FIELDS: [&str; 6] = ["lat", "lon", "alt", "roll", "pitch", "yaw"];
-        let content = text::read(path, "")?;
         let words: Vec<&str> = content.split_whitespace().collect();
         let mut values = [0.0; FIELDS.len()];
         for (i, field) in FIELDS.into_iter().enumerate() {
             let word = words
                 .get(i)
-                .ok_or_else(|| Error::at_line(path, 1, format!("{field} is missing")))?;
-            values[i] = text::number(path, 1, field, word)?;
+                .ok_or_else(|| Error::at_line(path, line, format!("{field} is missing")))?;
+            values[i] = text::number(path, line, field, word)?;
         }
         let [
             latitude_deg,
@@ -80,7 +99,7 @@ impl Packet {
         ] = values;
         if latitude_deg.abs() > 89.0 {
             let what = format!("lat is {latitude_deg}; the projection ends at 89 degrees");
-            return Err(Error::at_line(path, 1, what));
+            return Err(Error::at_line(path, line, what));
         }
         Ok(Self {
             latitude_deg,

@@ -10,19 +10,19 @@ use rayon::prelude::*;
 use super::calibration::Calibration;
 use super::clock::Clock;
 use super::drive;
-use super::error::{Error, Result};
 use crate::geometry::rigid_to_wire;
-use crate::read_log::{BlobSource, ReadLog};
+use crate::read_log::{Error, Result};
+use crate::read_log::{ReadLog, content};
 
 pub(super) const CAMERA_ID: &str = "image_02";
 const LIDAR_ID: &str = "velodyne";
+/// What says how large the images are.
+const SIZE_SOURCE: &str = "the calibration";
 
-/// Images of the left colour camera by frame; at least one.
-pub(super) fn image_files(drive: &Path) -> Result<BTreeMap<u32, PathBuf>> {
-    let folder = drive.join("image_02/data");
-    let images = drive::frame_files(&folder, &["png", "jpg", "jpeg"])?;
+/// Images of the left colour camera by frame; at least one. `hint` says where they should be.
+pub(super) fn image_files(folder: &Path, hint: &str) -> Result<BTreeMap<u32, PathBuf>> {
+    let images = drive::frame_files(folder, &["png", "jpg", "jpeg"])?;
     if images.is_empty() {
-        let hint = "PATH must be a KITTI raw drive folder (..._sync) with images in image_02/data";
         return Err(Error::Missing {
             path: folder.join("*.png"),
             hint: hint.to_owned(),
@@ -31,9 +31,9 @@ pub(super) fn image_files(drive: &Path) -> Result<BTreeMap<u32, PathBuf>> {
     Ok(images)
 }
 
-/// Time of every frame that has an image.
+/// Time of every frame that has an image; `clock` is from the file `timestamps`.
 pub(super) fn frame_times(
-    drive: &Path,
+    timestamps: &Path,
     images: &BTreeMap<u32, PathBuf>,
     clock: &Clock,
 ) -> Result<BTreeMap<u32, i64>> {
@@ -41,10 +41,9 @@ pub(super) fn frame_times(
         .keys()
         .map(|&frame| {
             let what = || format!("no line for frame {frame}, which has an image");
-            let path = drive.join("image_02/timestamps.txt");
             let time = clock
                 .at(frame)
-                .ok_or_else(|| Error::malformed(&path, what()))?;
+                .ok_or_else(|| Error::malformed(timestamps, what()))?;
             Ok((frame, time))
         })
         .collect()
@@ -57,14 +56,13 @@ pub(super) fn add_frames(
     frames: &BTreeMap<u32, i64>,
     calibration: &Calibration,
 ) -> Result<()> {
-    let (width, height) = (calibration.camera.width, calibration.camera.height);
+    let size = (calibration.camera.width, calibration.camera.height);
     let checked: Vec<_> = images
         .par_iter()
-        .map(|(&frame, path)| Ok((frame, path, drive::check_image(path, width, height)?)))
+        .map(|(&frame, path)| Ok((frame, path, content::check_image(path, size, SIZE_SOURCE)?)))
         .collect::<Result<_>>()?;
     for (frame_index, path, image) in checked {
-        log.blobs
-            .insert(image.digest.clone(), BlobSource::File(path.clone()));
+        log.add_file(path, &image);
         log.drive_log.frames.push(v1::CameraFrame {
             camera_id: CAMERA_ID.to_owned(),
             frame_index,
@@ -76,16 +74,15 @@ pub(super) fn add_frames(
     Ok(())
 }
 
-/// Checks the sweeps of the given frames and adds them to the log.
+/// Checks the sweeps of the given frames in a folder and adds them to the log.
 pub(super) fn add_sweeps(
     log: &mut ReadLog,
-    drive: &Path,
+    folder: &Path,
+    clock: &Clock,
     frames: &BTreeMap<u32, i64>,
     notes: &mut Vec<String>,
 ) -> Result<()> {
-    let sensor = drive.join("velodyne_points");
-    let files = drive::frame_files(&sensor.join("data"), &["bin"])?;
-    let clock = Clock::read(&sensor)?;
+    let files = drive::frame_files(folder, &["bin"])?;
     let unused = files.keys().filter(|f| !frames.contains_key(f)).count();
     if unused > 0 {
         notes.push(format!(
@@ -102,9 +99,8 @@ pub(super) fn add_sweeps(
         .map(|(frame, image_time, path)| Ok((frame, image_time, path, drive::check_sweep(path)?)))
         .collect::<Result<_>>()?;
     for (frame, image_time, path, points) in checked {
-        log.blobs
-            .insert(points.digest.clone(), BlobSource::File(path.clone()));
-        let timestamp_ns = match &clock {
+        log.add_file(path, &points);
+        let timestamp_ns = match clock {
             Clock::Assumed => image_time,
             Clock::Read(_) => clock.at(frame).unwrap_or(image_time),
         };

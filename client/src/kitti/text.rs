@@ -4,7 +4,7 @@ use std::path::Path;
 
 use glam::{DMat3, DQuat};
 
-use super::error::{Error, Result};
+use crate::read_log::{Error, Result};
 
 /// Reads a whole text file; `hint` says what to do if it is missing.
 pub(super) fn read(path: &Path, hint: &str) -> Result<String> {

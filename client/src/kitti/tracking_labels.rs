@@ -8,8 +8,8 @@ use backlot_proto::v1::Occlusion;
 use glam::{DMat3, DQuat, DVec3};
 
 use super::boxes::{LabelledBox, LabelledTrack};
-use super::error::{Error, Result};
 use super::text;
+use crate::read_log::{Error, Result};
 
 /// Columns before the numbers: frame, track id, type.
 const NAMED_COLUMNS: usize = 3;

@@ -9,8 +9,8 @@ use glam::{DQuat, DVec3};
 use roxmltree::{Document, Node};
 
 use super::boxes::{LabelledBox, LabelledTrack};
-use super::error::{Error, Result};
 use super::text;
+use crate::read_log::{Error, Result};
 
 /// Reads every tracklet. Poses are bottom centres in the Velodyne frame with a heading about its z axis.
 pub(super) fn read(path: &Path) -> Result<Vec<LabelledTrack>> {

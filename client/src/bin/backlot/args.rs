@@ -57,6 +57,8 @@ pub(crate) enum Output {
 pub(crate) enum LogsCommand {
     /// Read a log and upload what the server lacks of it; run again after a cut to send the rest.
     Upload(UploadOptions),
+    /// Read a log and tell what was understood, with pictures of LiDAR and cuboids over the images; needs no server.
+    Inspect(InspectOptions),
     /// List the logs on the server.
     List,
     /// Show one log.
@@ -68,15 +70,39 @@ pub(crate) enum LogsCommand {
 #[derive(Debug, Args)]
 pub(crate) struct UploadOptions {
     /// Folder of the log, e.g. .../2011_09_26_drive_0052_sync; not needed for the format `generated`.
-    #[arg(value_name = "PATH", required_if_eq("format", "kitti-raw"))]
+    #[arg(value_name = "PATH", required_unless_present("format"))]
     pub path: Option<PathBuf>,
+    /// By default what the folder looks like.
     #[arg(long, value_enum)]
-    pub format: LogFormat,
+    pub format: Option<LogFormat>,
     #[command(flatten)]
     pub parts: LogParts,
     /// Name on the server.
     #[arg(long)]
     pub name: String,
+    /// Seed of a generated log.
+    #[arg(long, default_value_t = 1)]
+    pub seed: u64,
+    #[command(flatten)]
+    pub street: StreetOptions,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct InspectOptions {
+    /// Folder of the log.
+    #[arg(value_name = "PATH", required_unless_present("format"))]
+    pub path: Option<PathBuf>,
+    /// By default what the folder looks like.
+    #[arg(long, value_enum)]
+    pub format: Option<LogFormat>,
+    #[command(flatten)]
+    pub parts: LogParts,
+    /// Folder of the pictures and of report.json.
+    #[arg(long, value_name = "DIR")]
+    pub out: PathBuf,
+    /// Pictures of each camera, evenly spaced over the log.
+    #[arg(long, value_name = "N", default_value_t = 3)]
+    pub pictures: usize,
     /// Seed of a generated log.
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
@@ -100,9 +126,12 @@ pub(crate) struct StreetOptions {
     pub travel_m: Option<f64>,
 }
 
-/// Parts of a KITTI raw log that lie elsewhere.
+/// Which log of a data set, and the parts of a KITTI raw log that lie elsewhere.
 #[derive(Clone, Debug, Default, Args)]
 pub(crate) struct LogParts {
+    /// nuScenes scene, Waymo segment, Argoverse log or KITTI tracking sequence, where PATH holds several.
+    #[arg(long, value_name = "NAME")]
+    pub scene: Option<String>,
     /// Folder of calib_cam_to_cam.txt and calib_velo_to_cam.txt; by default the one above PATH.
     #[arg(long, value_name = "DIR")]
     pub calib_dir: Option<PathBuf>,
@@ -118,6 +147,14 @@ pub(crate) struct LogParts {
 pub(crate) enum LogFormat {
     /// Drive folder of the KITTI raw data set.
     KittiRaw,
+    /// Folder of a split of the KITTI tracking benchmark: image_02, velodyne, calib, oxts, label_02.
+    KittiTracking,
+    /// nuScenes folder: v1.0-*, samples, sweeps.
+    Nuscenes,
+    /// Argoverse 2 sensor log, or a split of them.
+    Av2,
+    /// Folder of the components of Waymo Open v2: camera_image, vehicle_pose, lidar, ...
+    Waymo,
     /// No files: a synthetic, ray-traced street.
     Generated,
 }

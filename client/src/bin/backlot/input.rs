@@ -1,17 +1,45 @@
-//! Reading a log in the format the caller names.
+//! Reading a log in the format the caller names, or that its folder shows.
 
 use std::path::Path;
 
+use anyhow::Context;
 use backlot_client::generator::{StreetConfig, StreetWorld};
-use backlot_client::kitti::{KittiInputs, read_kitti_raw};
+use backlot_client::log_format::{self, LogInputs};
 use backlot_client::read_log::ReadLog;
 
-use crate::args::{LogParts, StreetOptions};
+use crate::args::{LogFormat, LogParts, StreetOptions};
 
-/// Reads a KITTI raw drive and tells what the reader ignored or assumed.
-pub(crate) fn read_kitti(path: &Path, parts: &LogParts) -> anyhow::Result<ReadLog> {
-    let log = read_kitti_raw(&KittiInputs {
-        drive_dir: path.to_owned(),
+/// Where a log comes from.
+pub(crate) struct LogSource<'a> {
+    pub path: Option<&'a Path>,
+    pub format: Option<LogFormat>,
+    pub parts: &'a LogParts,
+    pub seed: u64,
+    pub street: &'a StreetOptions,
+}
+
+/// Reads or generates a log and tells what the reader ignored or assumed.
+pub(crate) fn read(source: &LogSource<'_>) -> anyhow::Result<ReadLog> {
+    if source.format == Some(LogFormat::Generated) {
+        return generate(source.seed, source.street);
+    }
+    let path = source.path.context("PATH is missing")?;
+    read_folder(path, source.format, source.parts)
+}
+
+/// Reads the log in a folder and tells what the reader ignored or assumed.
+pub(crate) fn read_folder(
+    path: &Path,
+    format: Option<LogFormat>,
+    parts: &LogParts,
+) -> anyhow::Result<ReadLog> {
+    let format = match format.and_then(LogFormat::on_disk) {
+        Some(format) => format,
+        None => log_format::LogFormat::detect(path)?,
+    };
+    let log = format.read(&LogInputs {
+        path: path.to_owned(),
+        scene: parts.scene.clone(),
         calib_dir: parts.calib_dir.clone(),
         poses: parts.poses.clone(),
         tracks: parts.tracks.clone(),
@@ -22,8 +50,22 @@ pub(crate) fn read_kitti(path: &Path, parts: &LogParts) -> anyhow::Result<ReadLo
     Ok(log)
 }
 
+impl LogFormat {
+    /// The data set of that form; `None` for a generated log.
+    fn on_disk(self) -> Option<log_format::LogFormat> {
+        Some(match self {
+            Self::KittiRaw => log_format::LogFormat::KittiRaw,
+            Self::KittiTracking => log_format::LogFormat::KittiTracking,
+            Self::Nuscenes => log_format::LogFormat::Nuscenes,
+            Self::Av2 => log_format::LogFormat::Argoverse2,
+            Self::Waymo => log_format::LogFormat::Waymo,
+            Self::Generated => return None,
+        })
+    }
+}
+
 /// The demo's street with another seed, and as much of it as asked for.
-pub(crate) fn generate(seed: u64, street: &StreetOptions) -> anyhow::Result<ReadLog> {
+fn generate(seed: u64, street: &StreetOptions) -> anyhow::Result<ReadLog> {
     let demo = StreetConfig::default();
     let travel_m = street.travel_m.unwrap_or(demo.travel_m);
     let config = StreetConfig {

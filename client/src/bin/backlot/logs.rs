@@ -2,15 +2,15 @@
 
 use anyhow::Context;
 use backlot_client::geometry::{rigid_from_wire, vector_from_wire};
-use backlot_client::read_log::ReadLog;
 use backlot_client::upload::upload_log;
 use backlot_client::{Connection, listing, names};
 use backlot_proto::v1;
 use serde::Serialize;
 
-use crate::args::{LogFormat, LogsCommand, Output, UploadOptions};
+use crate::args::{LogsCommand, Output, UploadOptions};
+use crate::input::LogSource;
 use crate::output::{self, Row};
-use crate::{input, progress::Progress};
+use crate::{input, inspect, progress::Progress};
 
 pub(crate) async fn run(
     open: &impl AsyncFn() -> backlot_client::Result<Connection>,
@@ -19,6 +19,7 @@ pub(crate) async fn run(
 ) -> anyhow::Result<()> {
     match command {
         LogsCommand::Upload(options) => upload(open, &options, output).await,
+        LogsCommand::Inspect(options) => inspect::run(&options, output),
         LogsCommand::List => {
             let summaries = listing::drive_logs(&open().await?).await?;
             let rows: Vec<_> = summaries.into_iter().map(LogRow::from_summary).collect();
@@ -43,7 +44,13 @@ async fn upload(
     output: Output,
 ) -> anyhow::Result<()> {
     let name = names::drive_log(&options.name)?;
-    let log = read(options)?;
+    let log = input::read(&LogSource {
+        path: options.path.as_deref(),
+        format: options.format,
+        parts: &options.parts,
+        seed: options.seed,
+        street: &options.street,
+    })?;
     let connection = open().await?;
     let progress = Progress::bytes("upload");
     let progress_cell = std::sync::Mutex::new(progress);
@@ -63,16 +70,6 @@ async fn upload(
         eprintln!("warning: {warning}");
     }
     output::print(output, &[LogRow::from_log(&uploaded.drive_log)])
-}
-
-fn read(options: &UploadOptions) -> anyhow::Result<ReadLog> {
-    match options.format {
-        LogFormat::KittiRaw => {
-            let path = options.path.as_deref().context("PATH is missing")?;
-            input::read_kitti(path, &options.parts)
-        }
-        LogFormat::Generated => input::generate(options.seed, &options.street),
-    }
 }
 
 async fn show(connection: &Connection, log: &str, output: Output) -> anyhow::Result<()> {

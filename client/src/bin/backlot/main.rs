@@ -6,6 +6,7 @@ mod output;
 mod progress;
 
 mod input;
+mod inspect;
 
 mod assets;
 mod augment;

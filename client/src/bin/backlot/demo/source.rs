@@ -4,7 +4,7 @@ use anyhow::{Context, ensure};
 use backlot_client::generator::{StreetConfig, StreetWorld, View};
 use backlot_client::geometry::rigid_from_wire;
 use backlot_client::motion::ego_pose_at;
-use backlot_client::read_log::{BlobSource, ReadLog};
+use backlot_client::read_log::ReadLog;
 use backlot_engine::camera::Camera;
 use backlot_proto::v1;
 use glam::DVec2;
@@ -25,11 +25,13 @@ impl Source {
     /// Reads the log that the options name, or generates the default one.
     pub(crate) fn open(options: &DemoOptions) -> anyhow::Result<Self> {
         match (&options.log, options.format) {
-            (Some(path), Some(LogFormat::KittiRaw)) => Ok(Self {
-                log: input::read_kitti(path, &options.parts)?,
-                street: None,
-                name: format!("driveLogs/{}", id_of(path)),
-            }),
+            (Some(path), Some(format @ (LogFormat::KittiRaw | LogFormat::KittiTracking))) => {
+                Ok(Self {
+                    log: input::read_folder(path, Some(format), &options.parts)?,
+                    street: None,
+                    name: format!("driveLogs/{}", id_of(path)),
+                })
+            }
             (None, None | Some(LogFormat::Generated)) => {
                 let config = StreetConfig {
                     seed: options.seed,
@@ -37,10 +39,10 @@ impl Source {
                 };
                 Self::generate(&config, &format!("driveLogs/street-{}", options.seed))
             }
-            (None, Some(LogFormat::KittiRaw)) => {
-                anyhow::bail!("--format kitti-raw needs --log PATH")
-            }
-            (Some(_), _) => anyhow::bail!("--log PATH needs --format kitti-raw"),
+            (None, Some(_)) => anyhow::bail!("--format of a recorded log needs --log PATH"),
+            (Some(_), _) => anyhow::bail!(
+                "the demo measures one rectified camera: --log PATH needs --format kitti-raw or kitti-tracking; upload other logs"
+            ),
         }
     }
 
@@ -64,11 +66,8 @@ impl Source {
     pub(crate) fn image(&self, frame: &v1::CameraFrame) -> anyhow::Result<RgbImage> {
         let digest = frame.image.as_ref().map(|blob| blob.digest.as_str());
         let source = digest.and_then(|digest| self.log.blobs.get(digest));
-        let image = match source.context("a frame has no image")? {
-            BlobSource::Memory(content) => image::load_from_memory(content)?,
-            BlobSource::File(path) => image::open(path)?,
-        };
-        Ok(image.into_rgb8())
+        let content = source.context("a frame has no image")?.read()?;
+        Ok(image::load_from_memory(&content)?.into_rgb8())
     }
 
     /// Camera and pose of a frame as recorded.

@@ -1,4 +1,4 @@
-//! What can be wrong with a drive on disk.
+//! What can be wrong with a log on disk.
 
 use std::path::{Path, PathBuf};
 
@@ -18,6 +18,9 @@ pub enum Error {
     },
     #[error("{}: {what}", path.display())]
     Malformed { path: PathBuf, what: String },
+    /// The path may be right, but the request does not say which of its logs is meant, or names none of them.
+    #[error("{}: {what}", path.display())]
+    Choice { path: PathBuf, what: String },
     #[error("{}:{line}: {what}", path.display())]
     MalformedLine {
         path: PathBuf,
@@ -32,11 +35,13 @@ impl Error {
         match self {
             Self::Missing { .. } => ErrorKind::NotFound,
             Self::Io { .. } => ErrorKind::Unavailable,
-            Self::Malformed { .. } | Self::MalformedLine { .. } => ErrorKind::Invalid,
+            Self::Malformed { .. } | Self::MalformedLine { .. } | Self::Choice { .. } => {
+                ErrorKind::Invalid
+            }
         }
     }
 
-    pub(super) fn io(path: &Path, source: std::io::Error, hint: &str) -> Self {
+    pub(crate) fn io(path: &Path, source: std::io::Error, hint: &str) -> Self {
         let path = path.to_owned();
         if source.kind() == std::io::ErrorKind::NotFound {
             let hint = hint.to_owned();
@@ -46,14 +51,21 @@ impl Error {
         }
     }
 
-    pub(super) fn malformed(path: &Path, what: impl Into<String>) -> Self {
+    pub(crate) fn malformed(path: &Path, what: impl Into<String>) -> Self {
         Self::Malformed {
             path: path.to_owned(),
             what: what.into(),
         }
     }
 
-    pub(super) fn at_line(path: &Path, line: usize, what: impl Into<String>) -> Self {
+    pub(crate) fn choice(path: &Path, what: impl Into<String>) -> Self {
+        Self::Choice {
+            path: path.to_owned(),
+            what: what.into(),
+        }
+    }
+
+    pub(crate) fn at_line(path: &Path, line: usize, what: impl Into<String>) -> Self {
         Self::MalformedLine {
             path: path.to_owned(),
             line,

@@ -3,28 +3,31 @@
 use std::collections::BTreeMap;
 
 use backlot_engine::camera::Rigid;
+use backlot_proto::v1;
+
+use crate::geometry::rigid_to_wire;
 
 /// `world_from_ego` poses, strictly increasing in time.
 #[derive(Clone, Debug)]
-pub(super) struct Trajectory {
+pub(crate) struct Trajectory {
     poses: Vec<(i64, Rigid)>,
 }
 
 impl Trajectory {
     /// Requires at least one pose.
-    pub(super) fn new(poses: BTreeMap<i64, Rigid>) -> Self {
+    pub(crate) fn new(poses: BTreeMap<i64, Rigid>) -> Self {
         assert!(!poses.is_empty(), "a trajectory has at least one pose");
         Self {
             poses: poses.into_iter().collect(),
         }
     }
 
-    pub(super) fn poses(&self) -> &[(i64, Rigid)] {
+    pub(crate) fn poses(&self) -> &[(i64, Rigid)] {
         &self.poses
     }
 
     /// The pose at a time: linear in translation, slerp in rotation, and extrapolated from the outermost two poses.
-    pub(super) fn at(&self, timestamp_ns: i64) -> Rigid {
+    pub(crate) fn at(&self, timestamp_ns: i64) -> Rigid {
         if let [(_, pose)] = self.poses[..] {
             return pose;
         }
@@ -36,7 +39,7 @@ impl Trajectory {
     }
 
     /// Adds extrapolated ends so that the trajectory spans `[first_ns, last_ns]`; says whether it had to.
-    pub(super) fn cover(&mut self, first_ns: i64, last_ns: i64) -> bool {
+    pub(crate) fn cover(&mut self, first_ns: i64, last_ns: i64) -> bool {
         let mut extended = false;
         if first_ns < self.poses[0].0 {
             self.poses.insert(0, (first_ns, self.at(first_ns)));
@@ -47,6 +50,29 @@ impl Trajectory {
             extended = true;
         }
         extended
+    }
+
+    /// Puts the trajectory into the manifest, extended to every image and sweep; they may lie just outside the poses.
+    pub(crate) fn record(mut self, log: &mut v1::DriveLog) {
+        let images = log.frames.iter().map(|frame| frame.timestamp_ns);
+        let sweeps = log.sweeps.iter().map(|sweep| sweep.timestamp_ns);
+        let times: Vec<i64> = images.chain(sweeps).collect();
+        let span = times.iter().min().zip(times.iter().max());
+        if span.is_some_and(|(&first, &last)| self.cover(first, last)) {
+            let note = "ego poses extrapolated to the first or last image or sweep";
+            log.notes.push(note.to_owned());
+        }
+        let timed = self.poses.iter().map(|(time, pose)| v1::TimedPose {
+            timestamp_ns: *time,
+            pose: Some(rigid_to_wire(pose)),
+        });
+        log.world_from_ego = timed.collect();
+    }
+
+    /// An anchor at the first pose, level and along its heading: the fields of a log are f32 and want small numbers.
+    pub(crate) fn local_from_world(&self) -> Rigid {
+        let (_, first) = self.poses[0];
+        Rigid::from_heading(first.heading_rad(), first.translation_m).inverse()
     }
 }
 

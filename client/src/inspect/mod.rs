@@ -1,0 +1,8 @@
+//! What a reader understood of a log, in figures and in pictures, before anything is uploaded.
+
+mod report;
+
+mod overlay;
+
+pub use overlay::{overlay, overlay_frames};
+pub use report::{CameraReport, LidarReport, LogReport, TrackReport};
