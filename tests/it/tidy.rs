@@ -53,6 +53,14 @@ const FENCES: &[Fence] = &[
         allowed: &["server/", "client/", "tests/"],
     },
     Fence {
+        name: "arrow_ipc",
+        allowed: &["client/src/argoverse/", "client/tests/datasets/"],
+    },
+    Fence {
+        name: "parquet",
+        allowed: &["client/src/waymo/", "client/tests/datasets/"],
+    },
+    Fence {
         name: "object_store",
         allowed: &["server/src/store/"],
     },

@@ -16,4 +16,10 @@ mod waymo_files;
 
 mod waymo;
 
+mod kitti_files;
+
+mod kitti;
+
+mod fuzz;
+
 mod export;
