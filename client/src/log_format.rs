@@ -137,3 +137,58 @@ impl fmt::Display for LogFormat {
         })
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn layouts_are_told_apart() {
+        let folder = tempfile::TempDir::new().unwrap();
+        for (format, file) in [
+            (LogFormat::KittiRaw, "image_02/data/0.png"),
+            (LogFormat::KittiTracking, "image_02/0001/0.png"),
+            (LogFormat::Nuscenes, "v1.0-mini/sample_data.json"),
+            (LogFormat::Argoverse2, "log/city_SE3_egovehicle.feather"),
+            (LogFormat::Waymo, "camera_image/a.parquet"),
+        ] {
+            let root = folder.path().join(format.to_string());
+            for file in [file, "calib/0001.txt", "vehicle_pose/a.parquet"] {
+                let path = root.join(file);
+                std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+                std::fs::write(path, "").unwrap();
+            }
+            assert_eq!(LogFormat::detect(&root).unwrap(), format);
+        }
+    }
+
+    #[test]
+    fn an_unknown_layout_is_one_line_that_lists_the_known_ones() {
+        let folder = tempfile::TempDir::new().unwrap();
+        let error = LogFormat::detect(folder.path()).unwrap_err().to_string();
+        for text in [
+            "no known layout",
+            "image_02/data",
+            "v1.0-*",
+            "city_SE3_egovehicle",
+            "vehicle_pose",
+        ] {
+            assert!(error.contains(text), "{error}");
+        }
+        assert_eq!(error.lines().count(), 1);
+        let error = LogFormat::detect(&folder.path().join("none"))
+            .unwrap_err()
+            .to_string();
+        assert!(error.contains("none: not found"), "{error}");
+    }
+
+    #[test]
+    fn parts_of_kitti_raw_are_refused_elsewhere() {
+        let inputs = LogInputs {
+            poses: Some("poses.txt".into()),
+            ..LogInputs::default()
+        };
+        let error = LogFormat::Waymo.read(&inputs).unwrap_err().to_string();
+        assert!(error.contains("for kitti-raw, not for waymo"), "{error}");
+    }
+}

@@ -35,6 +35,9 @@ pub(crate) fn decode_image(
     if content.is_empty() {
         return Err("the image is empty".to_owned());
     }
+    if content.starts_with(&JPEG_START) && !ends_as_jpeg(content) {
+        return Err("the image does not decode: the JPEG is cut off".to_owned());
+    }
     let does_not_decode = |e: image::ImageError| format!("the image does not decode: {e}");
     let decoder = ImageReader::new(Cursor::new(content))
         .with_guessed_format()
@@ -49,6 +52,14 @@ pub(crate) fn decode_image(
         ));
     }
     DynamicImage::from_decoder(decoder).map_err(does_not_decode)
+}
+
+const JPEG_START: [u8; 2] = [0xff, 0xd8];
+
+/// The decoder fills a cut-off JPEG with grey instead of failing; a whole one ends with its end-of-image marker, perhaps padded.
+fn ends_as_jpeg(content: &[u8]) -> bool {
+    let end = content.iter().rposition(|&b| b != 0).map_or(0, |i| i + 1);
+    content[..end].ends_with(&[0xff, 0xd9])
 }
 
 /// A rigid transform from numbers of a file; the error says which of them is unusable.

@@ -16,7 +16,7 @@ use crate::read_log::content::{decode_image, time_of_micros};
 use crate::read_log::{ReadLog, Result, SpoolWriter};
 
 pub(super) const FRAME_TIME: &str = "key.frame_timestamp_micros";
-const CAMERA: &str = "key.camera_name";
+pub(super) const CAMERA: &str = "key.camera_name";
 const IMAGE: &str = "[CameraImageComponent].image";
 const POSE: &str = "[CameraImageComponent].pose.transform";
 const POSE_TIME: &str = "[CameraImageComponent].pose_timestamp";
@@ -25,6 +25,9 @@ const TRIGGER: &str = "[CameraImageComponent].rolling_shutter_params.camera_trig
 const READ_OUT: &str = "[CameraImageComponent].rolling_shutter_params.camera_readout_done_time";
 /// Images checked at once; each is held in memory while it is.
 const BATCH: usize = 16;
+
+/// Time of the segment's frame in nanoseconds, and number of the camera.
+pub(super) type FrameKey = (i64, i64);
 
 /// A camera of the segment.
 #[derive(Clone, Debug)]
@@ -36,14 +39,14 @@ struct SegmentCamera {
     is_global: bool,
 }
 
-/// Adds cameras and images; the poses of the vehicle at the images' times go to `poses`.
+/// Adds cameras and images, and returns the key of each; the poses of the vehicle at the images' times go to `poses`.
 pub(super) fn add_cameras(
     log: &mut ReadLog,
     spool: &mut SpoolWriter,
     root: &Path,
     segment: &str,
     poses: &mut BTreeMap<i64, Rigid>,
-) -> Result<()> {
+) -> Result<Vec<FrameKey>> {
     let cameras = read_calibration(log, root, segment)?;
     let table = Table::required(root, "camera_image", segment)?;
     let names = [
@@ -64,24 +67,25 @@ pub(super) fn add_cameras(
             let pose_time = time_of_seconds(row.number(POSE_TIME)?).map_err(|e| row.bad(e))?;
             poses.entry(pose_time).or_insert(pose);
             let frame = frame(&row, camera, pose_time)?;
-            batch.push((row, camera, frame));
+            batch.push((row, camera, (frame.0, number), frame.1));
         }
         if batch.is_empty() {
             break;
         }
         let checked: Vec<Bytes> = batch
             .par_iter()
-            .map(|(row, camera, _)| check_image(row, camera))
+            .map(|(row, camera, ..)| check_image(row, camera))
             .collect::<Result<_>>()?;
-        for ((row, _, (frame_time, mut frame)), image) in batch.into_iter().zip(checked) {
+        for ((row, _, key, mut frame), image) in batch.into_iter().zip(checked) {
             let blob = log.add_spooled(spool, &image).map_err(|e| row.bad(e))?;
             frame.image = Some(blob);
-            frames.push((frame_time, frame));
+            frames.push((key, frame));
         }
     }
     number_frames(&mut frames);
-    log.drive_log.frames = frames.into_iter().map(|(_, frame)| frame).collect();
-    Ok(())
+    let (keys, frames) = frames.into_iter().unzip();
+    log.drive_log.frames = frames;
+    Ok(keys)
 }
 
 fn check_image(row: &Row<'_>, camera: &SegmentCamera) -> Result<Bytes> {
@@ -93,11 +97,11 @@ fn check_image(row: &Row<'_>, camera: &SegmentCamera) -> Result<Bytes> {
 }
 
 /// Images are numbered by the frame of the segment they belong to.
-fn number_frames(frames: &mut [(i64, v1::CameraFrame)]) {
-    let mut times: Vec<i64> = frames.iter().map(|(time, _)| *time).collect();
+fn number_frames(frames: &mut [(FrameKey, v1::CameraFrame)]) {
+    let mut times: Vec<i64> = frames.iter().map(|((time, _), _)| *time).collect();
     times.sort_unstable();
     times.dedup();
-    for (time, frame) in frames.iter_mut() {
+    for ((time, _), frame) in frames.iter_mut() {
         frame.frame_index = times.partition_point(|t| t < time) as u32;
     }
     frames.sort_by(|(_, a), (_, b)| {

@@ -11,6 +11,8 @@ mod transform;
 
 mod cameras;
 
+mod sky;
+
 mod lidar;
 
 mod boxes;
@@ -54,11 +56,12 @@ pub fn read_waymo(inputs: &WaymoInputs) -> Result<ReadLog> {
     log.drive_log.dataset = "waymo".to_owned();
     log.drive_log.notes = vec![format!("segment {segment}")];
     let mut poses = world_from_vehicle.clone();
-    cameras::add_cameras(&mut log, &mut spool, root, &segment, &mut poses)?;
+    let keys = cameras::add_cameras(&mut log, &mut spool, root, &segment, &mut poses)?;
     if log.drive_log.frames.is_empty() {
         let path = root.join("camera_image").join(format!("{segment}.parquet"));
         return Err(Error::malformed(&path, "holds no image"));
     }
+    sky::add_masks(&mut log, &mut spool, root, &segment, &keys)?;
     lidar::add_sweeps(&mut log, &mut spool, root, &segment, &world_from_vehicle)?;
     let notes = &mut log.drive_log.notes;
     log.drive_log.tracks = boxes::read(root, &segment, &world_from_vehicle, notes)?;

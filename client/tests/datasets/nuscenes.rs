@@ -170,7 +170,7 @@ impl Data {
 #[test]
 fn errors_name_file_and_reason() {
     type Break = fn(&Data);
-    let cases: [(&str, Break, &[&str]); 15] = [
+    let cases: [(&str, Break, &[&str]); 16] = [
         (
             "no table",
             |d| d.remove("v1.0-mini/ego_pose.json"),
@@ -270,6 +270,15 @@ fn errors_name_file_and_reason() {
             "an image that does not decode",
             |d| d.put(&d.file_of("CAM_FRONT"), b"\xff\xd8\xff\xe0 no image"),
             &["CAM_FRONT", ".jpg", "does not decode"],
+        ),
+        (
+            "a cut image",
+            |d| {
+                let file = d.file_of("CAM_FRONT");
+                let content = fs::read(d.path(&file)).expect("the image is there");
+                d.put(&file, &content[..content.len() * 2 / 3]);
+            },
+            &["CAM_FRONT", ".jpg", "cut off"],
         ),
         (
             "an empty sweep",

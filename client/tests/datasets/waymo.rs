@@ -14,6 +14,7 @@ use crate::same_log::{Comparison, Deviation, FLAWS, LIMITS, deviation};
 use crate::street::street;
 use crate::waymo_files::{
     Cells, SEGMENT, camera_name, frame_times_ns, parquet, vehicle_pose_columns, write,
+    write_segmentation,
 };
 
 fn read(root: &Path) -> Result<ReadLog, String> {
@@ -89,6 +90,37 @@ fn the_rolling_shutter_is_kept() {
         frame.readout_ns
     );
     assert_eq!(log.sweeps[0].lidar_id, "TOP");
+}
+
+#[test]
+fn labelled_sky_becomes_a_mask() {
+    let data = Data::new();
+    write_segmentation(&street(), data.folder.path());
+    let log = read(data.folder.path()).expect("the log reads");
+    let masked: Vec<_> = log
+        .drive_log
+        .frames
+        .iter()
+        .filter(|f| f.sky_mask.is_some())
+        .collect();
+    assert_eq!(
+        (
+            masked.len(),
+            masked[0].camera_id.as_str(),
+            masked[0].frame_index
+        ),
+        (1, "FRONT", 0)
+    );
+    let mask = log
+        .read_blob(masked[0].sky_mask.as_ref().expect("a mask"))
+        .expect("the mask is readable");
+    let mask = image::load_from_memory(&mask)
+        .expect("the mask decodes")
+        .into_luma8();
+    let half = mask.height() / 2;
+    for (_, y, pixel) in mask.enumerate_pixels() {
+        assert_eq!(pixel.0[0], if y < half { 255 } else { 0 }, "row {y}");
+    }
 }
 
 struct Data {

@@ -61,6 +61,41 @@ pub(crate) fn write(log: &ReadLog, root: &Path, uniform: bool) {
     put_table("lidar_box", boxes(manifest));
 }
 
+/// Labels of the first image: the upper half is sky, the rest road with an instance on it.
+pub(crate) fn write_segmentation(log: &ReadLog, root: &Path) {
+    const DIVISOR: u16 = 1000;
+    let manifest = &log.drive_log;
+    let camera = &manifest.cameras[0];
+    let label = image::ImageBuffer::from_fn(camera.width, camera.height, |_, y| {
+        let (sky, road, instance) = (25, 20, 7);
+        image::Luma([if y < camera.height / 2 {
+            sky * DIVISOR
+        } else {
+            road * DIVISOR + instance
+        }])
+    });
+    let mut png = std::io::Cursor::new(Vec::new());
+    label
+        .write_to(&mut png, image::ImageFormat::Png)
+        .expect("the label encodes");
+    let of = |name: &str| format!("[CameraSegmentationLabelComponent].{name}");
+    let columns = vec![
+        context(1),
+        column(
+            "key.frame_timestamp_micros",
+            Cells::Integers(vec![micros(manifest.frames[0].timestamp_ns)]),
+        ),
+        column("key.camera_name", Cells::Bytes(vec![1])),
+        (
+            of("panoptic_label_divisor"),
+            Cells::Bytes(vec![DIVISOR.into()]),
+        ),
+        (of("panoptic_label"), Cells::Blobs(vec![png.into_inner()])),
+    ];
+    let name = format!("camera_segmentation/{SEGMENT}.parquet");
+    put(root, &name, &parquet(columns, Compression::SNAPPY));
+}
+
 /// A column's name and its rows.
 pub(crate) type Column = (String, Cells);
 
