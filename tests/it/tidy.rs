@@ -58,7 +58,11 @@ const FENCES: &[Fence] = &[
     },
     Fence {
         name: "parquet",
-        allowed: &["client/src/waymo/", "client/tests/datasets/"],
+        allowed: &[
+            "client/src/waymo/",
+            "client/src/labels/",
+            "client/tests/datasets/",
+        ],
     },
     Fence {
         name: "object_store",

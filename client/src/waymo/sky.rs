@@ -4,7 +4,7 @@ use std::io::Cursor;
 use std::path::Path;
 
 use backlot_proto::v1;
-use image::{GrayImage, ImageFormat, Luma};
+use image::{DynamicImage, GrayImage, ImageFormat, Luma};
 
 use super::cameras::{CAMERA, FRAME_TIME, FrameKey};
 use super::table::{Row, Table};
@@ -59,7 +59,9 @@ fn sky_mask(row: &Row<'_>, camera: &v1::Camera) -> Result<Vec<u8>> {
     let size = (camera.width, camera.height);
     let label = decode_image(row.bytes(LABEL)?, size, "camera_calibration");
     let label = label.map_err(|e| row.bad(format!("panoptic label: {e}")))?;
-    let label = label.into_luma16();
+    let DynamicImage::ImageLuma16(label) = label else {
+        return Err(row.bad("the panoptic label is not a 16-bit grey image"));
+    };
     let sky = |x, y| u32::from(label.get_pixel(x, y).0[0]) / divisor == SKY;
     let mask = GrayImage::from_fn(size.0, size.1, |x, y| {
         Luma([if sky(x, y) { 255 } else { 0 }])
