@@ -19,10 +19,7 @@ impl LogBlobs for MemoryBlobs {
     }
 
     fn read(&self, blob: &BlobRef) -> io::Result<Bytes> {
-        match self.0.get(&blob.digest.to_string()) {
-            Some(BlobSource::Memory(bytes)) => Ok(bytes.clone()),
-            Some(BlobSource::File(path)) => Ok(std::fs::read(path)?.into()),
-            None => Err(io::ErrorKind::NotFound.into()),
-        }
+        let source = self.0.get(&blob.digest.to_string());
+        source.ok_or(io::ErrorKind::NotFound)?.read()
     }
 }

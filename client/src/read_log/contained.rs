@@ -9,14 +9,16 @@ thread_local! {
     static CONTAINED: Cell<bool> = const { Cell::new(false) };
 }
 
-/// Runs a decoder; a panic inside it becomes an error, and nothing is printed. Asserts nothing about memory: the caller checks
+/// Runs a decoder; a panic inside it becomes an error, and nothing is printed. Errors come back in one line. Asserts nothing about memory: the caller checks
 /// sizes before anything is allocated from them.
 pub(crate) fn contained<T>(decode: impl FnOnce() -> Result<T, String>) -> Result<T, String> {
     hush_contained();
     let outer = CONTAINED.replace(true);
     let decoded = panic::catch_unwind(AssertUnwindSafe(decode));
     CONTAINED.set(outer);
-    decoded.unwrap_or_else(|payload| Err(format!("is damaged: {}", reason(&*payload))))
+    let decoded =
+        decoded.unwrap_or_else(|payload| Err(format!("is damaged: {}", reason(&*payload))));
+    decoded.map_err(|what| what.split_whitespace().collect::<Vec<_>>().join(" "))
 }
 
 /// Makes the hook leave out panics that are contained; all others are printed as before.
@@ -35,7 +37,7 @@ fn hush_contained() {
 fn reason(payload: &(dyn Any + Send)) -> String {
     let text = payload.downcast_ref::<String>().map(String::as_str);
     let text = text.or_else(|| payload.downcast_ref::<&str>().copied());
-    text.unwrap_or("its decoder gave up").replace('\n', " ")
+    text.unwrap_or("its decoder gave up").to_owned()
 }
 
 #[cfg(test)]

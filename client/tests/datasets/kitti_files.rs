@@ -11,7 +11,7 @@ use backlot_proto::v1;
 use glam::{DMat3, DQuat, DVec3, EulerRot};
 
 use crate::nuscenes_files::put;
-use crate::street::{compensated, ego_at, street};
+use crate::street::{compensated, ego_at, street, with_upright_boxes};
 
 /// The drive below the recording day.
 pub(crate) const DRIVE: &str = "2023_11_14/2023_11_14_drive_0001_sync";
@@ -69,7 +69,7 @@ pub(crate) fn synchronous() -> ReadLog {
     let level = DMat3::from_cols(DVec3::NEG_Y, DVec3::NEG_Z, DVec3::X);
     camera.ego_from_camera = Some(rigid_to_wire(&Rigid::new(DQuat::from_mat3(&level), place)));
     move_origin(&mut log.drive_log, times[0], &ego_from_lidar);
-    log
+    with_upright_boxes(log, &times)
 }
 
 fn move_origin(log: &mut v1::DriveLog, first_ns: i64, ego_from_lidar: &Rigid) {

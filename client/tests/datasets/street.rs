@@ -5,7 +5,7 @@ use std::sync::OnceLock;
 
 use backlot_client::generator::{LidarConfig, StreetConfig, StreetWorld};
 use backlot_client::geometry::{rigid_from_wire, rigid_to_wire};
-use backlot_client::motion::ego_pose_at;
+use backlot_client::motion::{ego_pose_at, track_pose_at};
 use backlot_client::read_log::ReadLog;
 use backlot_engine::camera::Rigid;
 use backlot_proto::v1;
@@ -143,6 +143,29 @@ fn tilt_world(log: &mut v1::DriveLog) {
         .for_each(|p| tilt(&mut p.pose));
     let states = log.tracks.iter_mut().flat_map(|t| &mut t.states);
     states.for_each(|s| tilt(&mut s.world_from_cuboid));
+}
+
+/// Boxes that only turn about the vehicle's z axis, with states at the given times: all that some data sets can say.
+pub(crate) fn with_upright_boxes(mut log: ReadLog, times_ns: &[i64]) -> ReadLog {
+    let manifest = &mut log.drive_log;
+    let mut tracks = std::mem::take(&mut manifest.tracks);
+    for track in &mut tracks {
+        let upright = times_ns.iter().map(|&timestamp_ns| {
+            let world_from_ego = ego_at(manifest, timestamp_ns);
+            let pose = track_pose_at(track, timestamp_ns).expect("the track covers the log");
+            let in_ego = world_from_ego.inverse() * pose;
+            let level = Rigid::from_heading(in_ego.heading_rad(), in_ego.translation_m);
+            v1::TrackState {
+                timestamp_ns,
+                world_from_cuboid: Some(rigid_to_wire(&(world_from_ego * level))),
+                truncation: -1.0,
+                ..Default::default()
+            }
+        });
+        track.states = upright.collect();
+    }
+    manifest.tracks = tracks;
+    log
 }
 
 /// One return of a sweep.
