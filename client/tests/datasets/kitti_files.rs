@@ -69,7 +69,13 @@ pub(crate) fn synchronous() -> ReadLog {
     let level = DMat3::from_cols(DVec3::NEG_Y, DVec3::NEG_Z, DVec3::X);
     camera.ego_from_camera = Some(rigid_to_wire(&Rigid::new(DQuat::from_mat3(&level), place)));
     move_origin(&mut log.drive_log, times[0], &ego_from_lidar);
-    with_upright_boxes(log, &times)
+    // One more than is written, so that a clock that is a little late is still covered.
+    let labelled: Vec<i64> = times
+        .iter()
+        .copied()
+        .chain([times[times.len() - 1] + 10_000_000])
+        .collect();
+    with_upright_boxes(log, &labelled)
 }
 
 fn move_origin(log: &mut v1::DriveLog, first_ns: i64, ego_from_lidar: &Rigid) {
