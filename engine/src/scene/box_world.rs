@@ -4,8 +4,10 @@ use glam::{DVec2, DVec3};
 
 use super::density::DensityField;
 use super::recording::{RecordedCamera, RecordedFrame, RecordedTrack, Recording};
+use super::solid_field::solid_field;
 use crate::camera::{Camera, Distortion, Rigid};
 use crate::class::ObjectClass;
+use crate::field::Field;
 
 pub(super) const SOLID_SIGMA: f64 = 100.0;
 
@@ -57,7 +59,40 @@ impl BoxWorld {
                 .iter()
                 .any(|(low, high)| local.cmpge(*low).all() && local.cmplt(*high).all())
     }
+
+    /// Depth below the nearest surface in metres, negative outside; of the surface that is deepest or nearest.
+    fn depth(&self, p: DVec3) -> f64 {
+        let above = p.z - self.ground(p.x);
+        let local = p.with_z(above);
+        let edges = (self.half_width - p.y.abs())
+            .min(p.x + 2.0)
+            .min(self.length - p.x);
+        let slab = (-above).min(above + 0.5).min(edges);
+        let boxes = self.boxes.iter();
+        boxes
+            .map(|(low, high)| (local - *low).min(*high - local).min_element())
+            .fold(slab, f64::max)
+    }
+
+    /// The same world in voxels: raw density falls from a voxel inside each surface to a voxel outside, so that the surfaces
+    /// between the nodes are where they were.
+    pub(super) fn voxelised(&self, voxel_m: f32) -> Field {
+        let rise = self.slope * self.length;
+        let low = glam::Vec3::new(-4.0, -self.half_width as f32, -1.5);
+        let high = glam::Vec3::new(
+            self.length as f32,
+            self.half_width as f32,
+            rise as f32 + 4.0,
+        );
+        solid_field(low, high, voxel_m, [0.4; 3], |p| {
+            let voxels = self.depth(p.as_dvec3()) as f32 / voxel_m;
+            (RAW_PER_VOXEL * voxels.clamp(-1.0, 1.0)).exp().ln_1p() / voxel_m
+        })
+    }
 }
+
+/// Raw density a voxel below a surface; a voxel above it is empty to 1e-6.
+const RAW_PER_VOXEL: f32 = 15.0;
 
 impl DensityField for BoxWorld {
     fn sigma(&self, p: DVec3) -> f64 {

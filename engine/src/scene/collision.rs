@@ -13,6 +13,12 @@ pub struct Occupied {
 }
 
 impl Occupied {
+    /// Whether a point of the local frame lies inside.
+    pub fn contains(&self, p: DVec3) -> bool {
+        let p = self.local_from_cuboid.inverse().point(p);
+        p.abs().cmple(self.size_m * 0.5).all()
+    }
+
     fn height_range(&self) -> (f64, f64) {
         let centre = self.local_from_cuboid.translation_m.z;
         (centre - self.size_m.z * 0.5, centre + self.size_m.z * 0.5)

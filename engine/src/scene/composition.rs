@@ -14,6 +14,7 @@ use super::random::Draws;
 use super::recipe::Recipe;
 use super::recording::{RecordedTrack, Recording};
 use super::rejection::Rejection;
+use super::target::Targets;
 use super::timeline::{Instant, recorded_velocity};
 use super::valid_region::ValidRegion;
 use crate::asset::{AssetHeader, Usage};
@@ -163,6 +164,9 @@ pub struct Composition {
 /// Attempts a slot: a crowded scene gives up here instead of searching forever.
 pub const ATTEMPTS: u32 = 64;
 
+/// Slots draw what they are to be from streams of their own, beyond all attempts.
+const TARGETS: u32 = 1 << 30;
+
 /// Originals further from the camera than this are not labelled, metres.
 const LABEL_RANGE_M: f64 = 100.0;
 
@@ -192,16 +196,11 @@ pub(super) fn compose_first<'a>(
     recipe.validate()?;
     let edits = resolve(stage, library, &recipe.edits)?;
     let given = resolve_given(library, &recipe.given_objects)?;
+    let targets = Targets::new(stage, library, recipe)?;
     let mut draws = Draws::new(seed, index, 0);
     let frames = eligible_frames(stage.recording, recipe)?;
     let frame = frames[draws.below(frames.len())];
     let requested = draws.between(recipe.min_objects, recipe.max_objects);
-    let eligible = eligible_assets(library, recipe);
-    if eligible.is_empty() && recipe.min_objects > 0 {
-        return Err(Error::invalid(
-            "recipe: no library object matches; train objects first or widen objects and classes",
-        ));
-    }
     let recorded = &stage.recording.frames[frame];
     let camera = stage
         .recording
@@ -219,16 +218,30 @@ pub(super) fn compose_first<'a>(
     };
     let frames = recipe.clip.frames_from(stage.recording, frame);
     let mut clip = ClipSpace::new(*stage, frames.expect("only such frames are eligible"));
-    let mut placer = Placer::new(*stage, library, eligible, recipe, &composition);
+    let mut placer = Placer::new(*stage, library, recipe, &composition);
     place_originals(&mut composition, &mut placer, &mut clip, &edits);
-    replace_originals(&mut composition, &mut placer, &mut clip, seed, index);
+    let assets = targets.assets();
+    replace_originals(
+        &mut composition,
+        &mut placer,
+        &mut clip,
+        &assets,
+        [seed, index],
+    );
     move_originals(&mut composition, &mut placer, &mut clip, &edits);
     place_given(&mut composition, &mut placer, &mut clip, &given);
+    if requested > 0 {
+        placer.find_places();
+    }
     let [slow, fast] = recipe.clip.speed_mps;
     for slot in 0..requested {
+        let Some(target) = targets.draw(&mut Draws::new(seed, index, TARGETS + slot)) else {
+            count(&mut composition.rejections, Rejection::NoAsset);
+            continue;
+        };
         let mut attempts = (0..ATTEMPTS).map(|a| Draws::new(seed, index, attempt(slot, a)));
         let placed = attempts.find_map(|mut draws| {
-            let driven = placer.propose(&mut draws).and_then(|object| {
+            let driven = placer.propose(&target, &mut draws).and_then(|object| {
                 let speed_mps = draws.uniform(slow, fast);
                 let movement = clip.drive(object, Course::Straight { speed_mps })?;
                 placer.test_later_views(movement, &clip)
@@ -308,17 +321,6 @@ fn eligible_frames(recording: &Recording, recipe: &Recipe) -> Result<Vec<usize>>
     Ok(frames)
 }
 
-fn eligible_assets(library: &[Candidate], recipe: &Recipe) -> Vec<usize> {
-    (0..library.len())
-        .filter(|i| {
-            let asset = &library[*i];
-            asset.library
-                && (recipe.objects.is_empty() || recipe.objects.contains(&asset.name))
-                && (recipe.classes.is_empty() || recipe.classes.contains(&asset.class))
-        })
-        .collect()
-}
-
 fn output_camera(camera: &Camera, longer_side_px: u32) -> Camera {
     if longer_side_px == 0 {
         return *camera;
@@ -375,6 +377,10 @@ pub(super) fn show_original(
         local_from_cuboid: pose,
         size_m: track.size_m,
     };
+    if occupied.contains(composition.local_from_camera.translation_m) {
+        count(&mut composition.rejections, Rejection::CameraInside);
+        return;
+    }
     if !in_image(composition, &occupied) {
         return;
     }
@@ -413,8 +419,8 @@ fn replace_originals(
     composition: &mut Composition,
     placer: &mut Placer<'_>,
     clip: &mut ClipSpace<'_>,
-    seed: u64,
-    index: u64,
+    assets: &[usize],
+    [seed, index]: [u64; 2],
 ) {
     if placer.recipe.replace_probability == 0.0 {
         return;
@@ -439,13 +445,14 @@ fn replace_originals(
         };
         let wanted =
             Draws::new(seed, index, attempt(slot, 0)).chance(placer.recipe.replace_probability);
-        if !wanted || !in_image(composition, &original) {
+        let inside = original.contains(composition.local_from_camera.translation_m);
+        if !wanted || inside || !in_image(composition, &original) {
             continue;
         }
         let placed = (1..ATTEMPTS).find_map(|a| {
             let mut draws = Draws::new(seed, index, attempt(slot, a));
             let driven = placer
-                .replace(i, &original, &mut draws)
+                .replace(assets, i, &original, &mut draws)
                 .and_then(|mut object| {
                     object.track_id = Some(track.track_id.clone());
                     let track_from_object = pose.inverse() * object.local_from_object;

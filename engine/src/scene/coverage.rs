@@ -1,9 +1,10 @@
 //! Whether a pose shows a side of the object that was observed.
 
-use std::f64::consts::{PI, TAU};
+use std::f64::consts::PI;
 
 use glam::DVec3;
 
+use super::arcs::{Arcs, wrap};
 use crate::quality::ViewCoverage;
 
 /// Nearest distance at which an object is shown, as a fraction of the nearest at which it was seen: larger it only gets blurred.
@@ -12,13 +13,26 @@ const NEAREST_OF_SEEN: f64 = 0.7;
 /// Whether a camera at `eye` (cuboid frame) sees the object from within `slack_rad` of an observed side and elevation, and not
 /// from much nearer than it was ever seen.
 pub(super) fn covers(coverage: &ViewCoverage, eye: DVec3, slack_rad: f64) -> bool {
-    if eye.length() < NEAREST_OF_SEEN * coverage.distance_min_m {
+    if eye.length() < nearest_m(coverage) {
         return false;
     }
     let elevation = libm::atan2(eye.z, eye.truncate().length());
     elevation >= coverage.elevation_min_rad - slack_rad
         && elevation <= coverage.elevation_max_rad + slack_rad
         && azimuth_gap_rad(coverage, libm::atan2(eye.y, eye.x)) <= slack_rad
+}
+
+/// Nearest distance at which the object may be shown.
+pub(super) fn nearest_m(coverage: &ViewCoverage) -> f64 {
+    NEAREST_OF_SEEN * coverage.distance_min_m
+}
+
+/// The camera-relative headings in which the object shows an observed side.
+///
+/// A camera in direction `line` behind an object of heading `psi` stands at azimuth `pi - (psi - line)` in the object's frame.
+pub(super) fn observed_headings(coverage: &ViewCoverage, slack_rad: f64) -> Arcs {
+    let azimuths = coverage.azimuths_rad.iter();
+    Arcs::around(azimuths.map(|azimuth| (PI - azimuth, slack_rad)))
 }
 
 /// Angle from an azimuth to the nearest observed one; infinite if there is none.
@@ -29,11 +43,6 @@ fn azimuth_gap_rad(coverage: &ViewCoverage, azimuth: f64) -> f64 {
     let gaps = coverage.azimuths_rad.iter();
     gaps.map(|seen| wrap(azimuth - seen).abs())
         .fold(f64::INFINITY, f64::min)
-}
-
-/// Wraps an angle to (-pi, pi].
-pub(super) fn wrap(angle_rad: f64) -> f64 {
-    angle_rad - TAU * libm::ceil((angle_rad - PI) / TAU)
 }
 
 #[cfg(test)]
@@ -81,9 +90,20 @@ mod tests {
     }
 
     #[test]
-    fn wrap_stays_in_range() {
-        for (angle, expected) in [(3.5 * PI, -0.5 * PI), (PI, PI), (-PI, PI), (0.2, 0.2)] {
-            assert!((wrap(angle) - expected).abs() < 1e-12, "{angle}");
+    fn observed_headings_are_those_that_are_covered() {
+        let seen = seen_from(&[187.0, 100.0, -20.0], false);
+        let slack = 8f64.to_radians();
+        let headings = observed_headings(&seen, slack);
+        // A camera at the origin looks along +x at an object 10 m ahead.
+        for degrees in (-180..180).step_by(3) {
+            let heading = f64::from(degrees).to_radians() + 0.01;
+            let pose = Rigid::from_heading(heading, DVec3::new(10.0, 0.0, 0.0));
+            let eye = pose.inverse().point(DVec3::new(0.0, 0.0, 1.0));
+            assert_eq!(
+                covers(&seen, eye, slack),
+                headings.contains(heading),
+                "{degrees}"
+            );
         }
     }
 }

@@ -3,8 +3,8 @@
 use glam::{DVec2, DVec3};
 use serde::{Deserialize, Serialize};
 
+use super::arcs::wrap;
 use super::composition::{Candidate, Stage};
-use super::coverage::wrap;
 use super::trajectory::Trajectory;
 use crate::camera::Rigid;
 use crate::{Error, Result};

@@ -62,6 +62,28 @@ impl Footprint {
         ]
     }
 
+    /// Smallest and largest corner of the rectangle's bounds along x and y.
+    pub fn bounds(&self) -> (DVec2, DVec2) {
+        let left = DVec2::new(-self.forward.y, self.forward.x);
+        let reach = self.forward.abs() * self.half.x + left.abs() * self.half.y;
+        (self.centre - reach, self.centre + reach)
+    }
+
+    /// Whether the rectangle overlaps an upright square, by the four directions that can separate them.
+    pub fn overlaps_square(&self, centre: DVec2, side: f64) -> bool {
+        let half = 0.5 * side;
+        let (low, high) = self.bounds();
+        if (centre - DVec2::splat(half)).cmpge(high).any()
+            || (centre + DVec2::splat(half)).cmple(low).any()
+        {
+            return false;
+        }
+        let offset = centre - self.centre;
+        let reach = half * (self.forward.x.abs() + self.forward.y.abs());
+        offset.dot(self.forward).abs() < self.half.x + reach
+            && offset.perp_dot(self.forward).abs() < self.half.y + reach
+    }
+
     /// Points that cover the rectangle, edges included, at most `spacing_m` apart.
     pub fn points(&self, spacing_m: f64) -> impl Iterator<Item = DVec2> + '_ {
         let steps = |half: f64| (libm::ceil(2.0 * half / spacing_m) as i32).max(1);
@@ -168,6 +190,27 @@ mod tests {
             assert!(points.iter().any(|p| (*p - corner).length() < 1e-12));
         }
         assert!(points.len() >= 18 * 8, "{}", points.len());
+    }
+
+    #[test]
+    fn squares_overlap_where_points_of_both_do() {
+        let footprint = Footprint::new(DVec2::new(0.3, -0.2), 0.6, DVec3::new(4.4, 1.8, 1.5));
+        let inner: Vec<_> = footprint.points(0.02).collect();
+        let mut overlapping = 0;
+        for i in 0..1600 {
+            let centre = DVec2::new(f64::from(i % 40), f64::from(i / 40)) * 0.15 - 3.0;
+            let inside = inner
+                .iter()
+                .filter(|p| (**p - centre).abs().max_element() < 0.25)
+                .count();
+            let overlaps = footprint.overlaps_square(centre, 0.5);
+            // A sliver may fall between the points.
+            assert!(overlaps || inside == 0, "{centre}");
+            let grown = footprint.grown(-0.02).overlaps_square(centre, 0.5 - 0.04);
+            assert!(!grown || inside > 0, "{centre}");
+            overlapping += u32::from(overlaps);
+        }
+        assert!((300..1200).contains(&overlapping), "{overlapping}");
     }
 
     #[test]

@@ -14,18 +14,27 @@ mod density;
 mod footprint;
 mod ground;
 mod path;
+mod pillar;
 mod region_builder;
 mod valid_region;
 
+mod acceptance;
+mod arcs;
 mod clip;
 mod composition;
 mod edit;
+mod histogram;
 mod movement;
 mod placement;
+mod places;
+mod preset;
 mod projection;
+mod proposal;
 mod recipe;
 mod rejection;
+mod road;
 mod sight;
+mod target;
 mod timeline;
 mod trajectory;
 
@@ -59,7 +68,11 @@ mod finish_tests;
 #[cfg(test)]
 mod label_tests;
 #[cfg(test)]
+mod placement_tests;
+#[cfg(test)]
 mod region_tests;
+#[cfg(test)]
+mod region_trained_tests;
 #[cfg(test)]
 mod render_tests;
 #[cfg(test)]
@@ -75,11 +88,14 @@ pub use edit::{ActorEdit, Edit, GivenObject, MAX_EDITS, MAX_GIVEN_OBJECTS, Shift
 pub use finish::{Finished, finish};
 pub use footprint::{Footprint, GroundPlane};
 pub use frame::RenderedFrame;
+pub use histogram::Histogram;
 pub use labels::{FrameLabel, label};
 pub use merge::{Merged, composite, merge};
+pub use pillar::Pillars;
+pub use preset::PlacementPreset;
 pub use projection::{PixelBox, amodal_box, corners};
 pub use random::Draws;
-pub use recipe::{Jitter, MAX_OBJECTS, MAX_SIDE_PX, PlacementPreset, Recipe};
+pub use recipe::{ClassShare, Jitter, MAX_OBJECTS, MAX_SIDE_PX, Recipe};
 pub use recorded::{InstanceMask, RecordedImage, needs_recorded};
 pub use recording::{RecordedCamera, RecordedFrame, RecordedTrack, Recording};
 pub use region_builder::RegionConfig;

@@ -2,10 +2,11 @@
 
 use glam::{DVec2, DVec3};
 
+use super::acceptance::CLEARANCE_M;
 use super::collision::Occupied;
 use super::composition::{PlacedObject, Stage};
 use super::footprint::{Footprint, GroundPlane};
-use super::placement::{CLEARANCE_M, FOOTPRINT_MARGIN_M, ego_box};
+use super::placement::{FOOTPRINT_MARGIN_M, ego_box};
 use super::rejection::Rejection;
 use super::timeline::{Instant, instants, recorded_velocity};
 use super::valid_region::{Cell, ValidRegion};

@@ -15,7 +15,6 @@ pub(super) struct DrivenPath {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Beside {
     pub(super) distance_m: f64,
-    /// Height of the camera where it passed.
     /// Nearest point of the path.
     pub(super) foot: DVec2,
     /// The point lies before the path's start or past its end.

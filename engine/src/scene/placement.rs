@@ -1,18 +1,20 @@
-//! Proposes poses for objects and tests them.
+//! Places one object after another in a sample.
 
-use glam::{DVec2, DVec3};
+use glam::DVec3;
 
 use super::collision::Occupied;
 use super::composition::{Candidate, Composition, Origin, PlacedObject, Stage};
-use super::coverage::{covers, wrap};
+use super::coverage::covers;
 use super::footprint::Footprint;
 use super::movement::{ClipSpace, Movement};
+use super::places::Places;
 use super::projection::amodal_box;
 use super::random::Draws;
-use super::recipe::{PlacementPreset, Recipe};
+use super::recipe::Recipe;
 use super::recording::RecordedFrame;
 use super::rejection::Rejection;
-use super::sight::clear_fraction;
+use super::target::Target;
+use crate::Result;
 use crate::camera::{Camera, Rigid};
 
 /// Everything known while one sample is composed.
@@ -22,33 +24,17 @@ pub(super) struct Placer<'a> {
     pub(super) recipe: &'a Recipe,
     /// Originals that stay in the sample, by track index.
     pub(super) originals: Vec<(usize, Occupied)>,
-    eligible: Vec<usize>,
-    placed: Vec<Occupied>,
-    ego: Occupied,
-    camera: Camera,
-    local_from_camera: Rigid,
-    local_from_ego: Rigid,
-    /// Free cells in view as (distance from the camera, index), ascending.
-    visible_cells: Vec<(f64, usize)>,
+    /// Library objects of the sample, with their asset.
+    pub(super) placed: Vec<(usize, Occupied)>,
+    pub(super) ego: Occupied,
+    pub(super) camera: Camera,
+    pub(super) local_from_camera: Rigid,
+    pub(super) local_from_ego: Rigid,
+    pub(super) places: Places,
 }
 
-/// Room left between objects: mirrors and errors of the boxes.
-pub(super) const CLEARANCE_M: f64 = 0.3;
 /// Free ground asked for around a footprint.
 pub(super) const FOOTPRINT_MARGIN_M: f64 = 0.1;
-/// Half the width of the ring of cells around a drawn distance.
-const RING_M: f64 = 1.5;
-/// A detector learns little from less.
-const MIN_HEIGHT_PX: f64 = 12.0;
-const MAX_TRUNCATION: f64 = 0.4;
-/// Fraction of sight lines that must be clear.
-const MIN_CLEAR: f64 = 0.35;
-/// An object this close to its own original would show twice side by side.
-const DUPLICATE_M: f64 = 12.0;
-/// Lateral distance from the ego's path within which traffic shares its direction.
-const OWN_LANE_M: f64 = 2.0;
-/// Bins over which headings are drawn conditionally on coverage.
-const HEADING_BINS: u32 = 41;
 /// A replacement's length and width may differ this much from the original's.
 const REPLACE_SIZE_RATIO: f64 = 1.35;
 
@@ -56,63 +42,69 @@ impl<'a> Placer<'a> {
     pub(super) fn new(
         stage: Stage<'a>,
         library: &'a [Candidate],
-        eligible: Vec<usize>,
         recipe: &'a Recipe,
         composition: &Composition,
     ) -> Self {
-        let mut placer = Self {
+        Self {
             stage,
             library,
             recipe,
             originals: Vec::new(),
-            eligible,
             placed: Vec::new(),
             ego: ego_box(&composition.local_from_ego),
             camera: composition.camera,
             local_from_camera: composition.local_from_camera,
             local_from_ego: composition.local_from_ego,
-            visible_cells: Vec::new(),
-        };
-        placer.visible_cells = placer.find_visible_cells();
-        placer
+            places: Places::default(),
+        }
+    }
+
+    /// Looks for places once the originals are known.
+    pub(super) fn find_places(&mut self) {
+        let tracks = &self.stage.recording.tracks;
+        let fixed: Vec<Occupied> = self
+            .originals
+            .iter()
+            .filter(|(track, _)| !tracks[*track].moving)
+            .map(|(_, occupied)| *occupied)
+            .collect();
+        let pose = &self.local_from_camera;
+        self.places = Places::new(&self.stage, self.recipe, &self.camera, pose, &fixed);
     }
 
     /// One attempt at a new object.
-    pub(super) fn propose(&self, draws: &mut Draws) -> Result<PlacedObject, Rejection> {
-        if self.eligible.is_empty() {
-            return Err(Rejection::NoFreePlace);
-        }
-        let index = self.eligible[draws.below(self.eligible.len())];
+    pub(super) fn propose(
+        &self,
+        target: &Target,
+        draws: &mut Draws,
+    ) -> Result<PlacedObject, Rejection> {
+        let index = target.assets[draws.below(target.assets.len())];
         let asset = &self.library[index];
-        let recorded = match self.recipe.preset {
-            PlacementPreset::Default => None,
-            _ if asset.ego_from_object.is_empty() => None,
-            _ => Some(asset.ego_from_object[draws.below(asset.ego_from_object.len())]),
-        };
-        let (at, heading) = match recorded {
-            Some(pose) => self.jittered(&pose, draws),
-            None => self.free_pose(asset, draws)?,
-        };
+        let (at, heading) = self.draw_pose(asset, target, draws)?;
         let footprint = Footprint::new(at, heading, asset.size_m).grown(FOOTPRINT_MARGIN_M);
         let plane = self.stage.region.support(&footprint)?;
+        if plane.slope.length() < self.recipe.min_slope {
+            return Err(Rejection::TooFlat);
+        }
         let local_from_object = plane.stand(at, heading, asset.size_m.z);
         let object = self.posed(index, local_from_object, Origin::Inserted);
-        self.test(&object)?;
-        self.test_duplicate(asset, &object)?;
+        self.test(&object, target)?;
+        self.test_duplicate(index, &object)?;
         Ok(object)
     }
 
-    /// One attempt at putting a library object into the slot of original `track`.
+    /// One attempt at putting one of `assets` into the slot of original `track`.
     pub(super) fn replace(
         &self,
+        assets: &[usize],
         track: usize,
         original: &Occupied,
         draws: &mut Draws,
     ) -> Result<PlacedObject, Rejection> {
-        if self.eligible.is_empty() {
-            return Err(Rejection::SizeMismatch);
+        if assets.is_empty() {
+            return Err(Rejection::NoAsset);
         }
-        let index = self.eligible[draws.below(self.eligible.len())];
+        let index = assets[draws.below(assets.len())];
         let asset = &self.library[index];
         let recorded = &self.stage.recording.tracks[track];
         if asset.source_log == self.stage.source_log && asset.source_track_id == recorded.track_id {
@@ -134,7 +126,9 @@ impl<'a> Placer<'a> {
     }
 
     pub(super) fn accept(&mut self, object: PlacedObject, objects: &mut Vec<PlacedObject>) {
-        self.placed.push(object.occupied());
+        if let Some(asset) = object.asset {
+            self.placed.push((asset, object.occupied()));
+        }
         objects.push(object);
     }
 
@@ -157,7 +151,7 @@ impl<'a> Placer<'a> {
         movement: Movement,
         clip: &ClipSpace<'_>,
     ) -> Result<Movement, Rejection> {
-        if self.recipe.preset != PlacementPreset::Default {
+        if self.recipe.preset.jitters_recorded_poses() {
             return Ok(movement);
         }
         for k in 1..clip.frames.len() {
@@ -200,181 +194,6 @@ impl<'a> Placer<'a> {
             .inverse()
             .point(self.local_from_camera.translation_m);
         covers(&asset.coverage, eye, self.recipe.coverage_slack_rad)
-    }
-
-    /// T23: the recorded pose is carried from its ego to this one and jittered along this ego's axes.
-    fn jittered(&self, ego_from_object: &Rigid, draws: &mut Draws) -> (DVec2, f64) {
-        let jitter = self.recipe.jitter;
-        let offset = DVec3::new(draws.jitter(jitter.x_m), draws.jitter(jitter.y_m), 0.0);
-        let turn = draws.jitter(jitter.heading_rad);
-        let at = self
-            .local_from_ego
-            .point(ego_from_object.translation_m + offset);
-        let heading = (self.local_from_ego * *ego_from_object).heading_rad() + turn;
-        (at.truncate(), wrap(heading))
-    }
-
-    /// A free cell at an evenly drawn distance, and a heading along the road from which the asset was observed.
-    fn free_pose(&self, asset: &Candidate, draws: &mut Draws) -> Result<(DVec2, f64), Rejection> {
-        let [near, far] = self.recipe.distance_m;
-        let distance = draws.uniform(near, far);
-        let first = self
-            .visible_cells
-            .partition_point(|c| c.0 < distance - RING_M);
-        let last = self
-            .visible_cells
-            .partition_point(|c| c.0 <= distance + RING_M);
-        if first == last {
-            return Err(Rejection::NoFreePlace);
-        }
-        let (_, cell) = self.visible_cells[first + draws.below(last - first)];
-        let half = self.stage.region.cell_m * 0.5;
-        let at =
-            self.stage.region.centre(cell) + DVec2::new(draws.jitter(half), draws.jitter(half));
-        let (road, lateral) = self.road_at(at);
-        let limit = self.recipe.jitter.heading_rad;
-        let both_ways = lateral.abs() > OWN_LANE_M;
-        let mut headings = Vec::with_capacity(2 * HEADING_BINS as usize);
-        for turn in [0.0, std::f64::consts::PI] {
-            if turn > 0.0 && !both_ways {
-                continue;
-            }
-            for bin in 0..HEADING_BINS {
-                let fraction = 2.0 * f64::from(bin) / f64::from(HEADING_BINS - 1) - 1.0;
-                let heading = wrap(road + turn + fraction * limit);
-                if self.covered(asset, &self.upright(asset, at, heading)) {
-                    headings.push(heading);
-                }
-            }
-        }
-        if headings.is_empty() {
-            return Err(Rejection::Coverage);
-        }
-        Ok((at, headings[draws.below(headings.len())]))
-    }
-
-    fn upright(&self, asset: &Candidate, at: DVec2, heading: f64) -> Rigid {
-        let ground = self.stage.region.ground_height(at).unwrap_or(0.0);
-        Rigid::from_heading(heading, at.extend(ground + asset.size_m.z * 0.5))
-    }
-
-    /// Heading of the driven path nearest to a point, and the point's distance left of it.
-    fn road_at(&self, at: DVec2) -> (f64, f64) {
-        let frames = &self.stage.recording.frames;
-        let distance =
-            |i: &usize| (frames[*i].local_from_ego.translation_m.truncate() - at).length_squared();
-        let nearest = (0..frames.len())
-            .min_by(|a, b| distance(a).total_cmp(&distance(b)))
-            .expect("a composition has a frame");
-        let ego = frames[nearest].local_from_ego;
-        let lateral = ego.inverse().point(at.extend(ego.translation_m.z)).y;
-        (ego.heading_rad(), lateral)
-    }
-
-    fn find_visible_cells(&self) -> Vec<(f64, usize)> {
-        let region = self.stage.region;
-        let camera_from_local = self.local_from_camera.inverse();
-        let [near, far] = self.recipe.distance_m;
-        let mut cells: Vec<(f64, usize)> = region
-            .free_cells()
-            .filter_map(|i| {
-                let p = camera_from_local.point(region.centre(i).extend(region.ground_m[i]));
-                let distance = p.length();
-                let pixel = self.camera.project(p)?;
-                let inside = pixel.x >= 0.0 && pixel.x < f64::from(self.camera.width);
-                (inside && distance >= near && distance <= far).then_some((distance, i))
-            })
-            .collect();
-        cells.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-        cells
-    }
-
-    fn test(&self, object: &PlacedObject) -> Result<(), Rejection> {
-        let [near, far] = self.recipe.distance_m;
-        let offset = object.local_from_object.translation_m - self.local_from_camera.translation_m;
-        if !(near..=far).contains(&offset.length()) {
-            return Err(Rejection::Distance);
-        }
-        self.test_view(object)?;
-        self.test_collision(object, None)?;
-        self.test_sight(object)
-    }
-
-    fn test_view(&self, object: &PlacedObject) -> Result<(), Rejection> {
-        let camera_from_object = self.local_from_camera.inverse() * object.local_from_object;
-        let bounds = amodal_box(&self.camera, &camera_from_object, object.size_m)
-            .ok_or(Rejection::OutOfView)?;
-        let inside = bounds.clipped(&self.camera).ok_or(Rejection::OutOfView)?;
-        if bounds.truncation(&self.camera) > MAX_TRUNCATION {
-            return Err(Rejection::Truncated);
-        }
-        if inside.max.y - inside.min.y < MIN_HEIGHT_PX {
-            return Err(Rejection::TooSmall);
-        }
-        let conditional = self.recipe.preset == PlacementPreset::Default;
-        if conditional && object.beyond_coverage {
-            return Err(Rejection::Coverage);
-        }
-        Ok(())
-    }
-
-    fn test_collision(&self, object: &PlacedObject, slot: Option<usize>) -> Result<(), Rejection> {
-        let occupied = object.occupied();
-        if occupied.collides(&self.ego, CLEARANCE_M) {
-            return Err(Rejection::CollidesEgo);
-        }
-        if self
-            .placed
-            .iter()
-            .any(|p| occupied.collides(p, CLEARANCE_M))
-        {
-            return Err(Rejection::CollidesPlaced);
-        }
-        let hits = |(track, original): &(usize, Occupied)| {
-            Some(*track) != slot && occupied.collides(original, CLEARANCE_M)
-        };
-        if self.originals.iter().any(hits) {
-            return Err(Rejection::CollidesOriginal);
-        }
-        Ok(())
-    }
-
-    fn test_duplicate(&self, asset: &Candidate, object: &PlacedObject) -> Result<(), Rejection> {
-        if asset.source_log != self.stage.source_log {
-            return Ok(());
-        }
-        let at = object.local_from_object.translation_m;
-        let beside = |(track, original): &(usize, Occupied)| {
-            self.stage.recording.tracks[*track].track_id == asset.source_track_id
-                && (original.local_from_cuboid.translation_m - at).length() < DUPLICATE_M
-        };
-        if self.originals.iter().any(beside) {
-            return Err(Rejection::Duplicate);
-        }
-        Ok(())
-    }
-
-    fn test_sight(&self, object: &PlacedObject) -> Result<(), Rejection> {
-        let eye = self.local_from_camera.translation_m;
-        let originals = self.originals.iter().map(|(_, o)| *o);
-        let mut obstacles: Vec<Occupied> = originals.chain(self.placed.iter().copied()).collect();
-        let occupied = object.occupied();
-        if clear_fraction(eye, &occupied, &obstacles, self.stage.region) < MIN_CLEAR {
-            return Err(Rejection::Occluded);
-        }
-        obstacles.push(occupied);
-        let hidden = |(i, placed): (usize, &Occupied)| {
-            let own = self.originals.len() + i;
-            let others: Vec<Occupied> = (0..obstacles.len())
-                .filter(|j| *j != own)
-                .map(|j| obstacles[j])
-                .collect();
-            clear_fraction(eye, placed, &others, self.stage.region) < MIN_CLEAR
-        };
-        if self.placed.iter().enumerate().any(hidden) {
-            return Err(Rejection::HidesPlaced);
-        }
-        Ok(())
     }
 }
 

@@ -7,21 +7,23 @@ use super::region_builder::RegionConfig;
 use super::valid_region::{Cell, ValidRegion};
 
 const SLOPE: f64 = 0.05;
+const VOXEL_M: f32 = 0.25;
 
-fn street() -> BoxWorld {
+pub(super) fn street() -> BoxWorld {
     BoxWorld {
         slope: SLOPE,
         boxes: vec![
-            // A wall along the left side, then a parked car on the right.
+            // A wall along the left side, a parked car on the right, and a post that leaves 1 m to the wall.
             (DVec3::new(10.0, 4.0, 0.0), DVec3::new(30.0, 4.5, 3.0)),
             (DVec3::new(22.0, -5.0, 0.0), DVec3::new(26.5, -3.0, 1.5)),
+            (DVec3::new(14.0, 2.5, 0.0), DVec3::new(14.5, 3.0, 3.0)),
         ],
         half_width: 10.0,
         length: 60.0,
     }
 }
 
-fn config() -> RegionConfig {
+pub(super) fn config() -> RegionConfig {
     RegionConfig {
         ahead_m: 20.0,
         max_lateral_m: 7.0,
@@ -31,7 +33,7 @@ fn config() -> RegionConfig {
 }
 
 /// What each cell must be, from the definition and exact sight lines alone.
-fn expected(world: &BoxWorld, region: &ValidRegion, config: &RegionConfig) -> Vec<Cell> {
+pub(super) fn expected(world: &BoxWorld, region: &ValidRegion, config: &RegionConfig) -> Vec<Cell> {
     let recording = drive(SLOPE, 31, 1.0);
     let inside = |c: DVec2| {
         world
@@ -39,6 +41,10 @@ fn expected(world: &BoxWorld, region: &ValidRegion, config: &RegionConfig) -> Ve
             .iter()
             .any(|(low, high)| c.x > low.x && c.x < high.x && c.y > low.y && c.y < high.y)
     };
+    // Cells of half a metre: a pillar of 2 m x 2 m has four by four.
+    let offsets = || (0..16).map(|i| DVec2::new(f64::from(i % 4), f64::from(i / 4)) * 0.5);
+    let in_clear_pillar =
+        |c: DVec2| offsets().any(|corner| offsets().all(|cell| !inside(c - corner + cell)));
     (0..region.cells.len())
         .map(|cell| {
             let c = region.centre(cell);
@@ -47,7 +53,7 @@ fn expected(world: &BoxWorld, region: &ValidRegion, config: &RegionConfig) -> Ve
             if c.y.abs() > config.max_lateral_m || c.x < 0.0 || c.x > end {
                 return Cell::Unseen;
             }
-            if inside(c) {
+            if !in_clear_pillar(c) {
                 return Cell::Blocked;
             }
             let ground = c.extend(world.ground(c.x));
@@ -78,7 +84,7 @@ fn expected(world: &BoxWorld, region: &ValidRegion, config: &RegionConfig) -> Ve
         .collect()
 }
 
-fn draw(region: &ValidRegion, cells: &[Cell]) -> String {
+pub(super) fn draw(region: &ValidRegion, cells: &[Cell]) -> String {
     (0..region.rows)
         .rev()
         .map(|row| {
@@ -95,9 +101,10 @@ fn draw(region: &ValidRegion, cells: &[Cell]) -> String {
 }
 
 #[test]
-fn street_gives_exactly_the_expected_map() {
+fn a_voxelised_street_gives_exactly_the_expected_map() {
     let (world, config) = (street(), config());
-    let region = ValidRegion::build(&world, &drive(SLOPE, 31, 1.0), &config);
+    let field = world.voxelised(VOXEL_M);
+    let region = ValidRegion::build(&field, &drive(SLOPE, 31, 1.0), &config);
     let expected = expected(&world, &region, &config);
     // Cells in the interior of things were never reached from the road; whether they say blocked or unseen is the same: not free.
     let differs = |i: &usize| (region.cells[*i] == Cell::Free) != (expected[*i] == Cell::Free);
@@ -122,6 +129,8 @@ fn street_gives_exactly_the_expected_map() {
         (15.0, 0.2, Cell::Free),
         (25.2, -5.2, Cell::Unseen),
         (20.0, 5.5, Cell::Unseen),
+        (14.2, 3.7, Cell::Blocked),
+        (16.2, 3.7, Cell::Free),
     ] {
         assert_eq!(region.cell_at(DVec2::new(x, y)), state, "at {x}, {y}");
     }
@@ -153,32 +162,66 @@ fn pavements_are_not_road() {
     assert_ne!(region.cell_at(DVec2::new(15.0, 3.2)), Cell::Free);
 }
 
+/// The comparison above must notice a region that is wrong by one rule.
 #[test]
-fn the_papers_thresholds_let_thin_haze_pass_and_judge_whole_pillars() {
-    let region = ValidRegion::build(
-        &street(),
-        &drive(SLOPE, 31, 1.0),
-        &RegionConfig {
+fn a_region_that_breaks_a_rule_differs_from_the_expected_map() {
+    let (world, right) = (street(), config());
+    let recording = drive(SLOPE, 31, 1.0);
+    let wrong: [(&str, RegionConfig); 4] = [
+        (
+            "unseen is free",
+            RegionConfig {
+                min_views: 0,
+                ..right
+            },
+        ),
+        (
+            "no pillar is dense",
+            RegionConfig {
+                max_sigma: 1e9,
+                mean_sigma: 1e9,
+                ..right
+            },
+        ),
+        (
+            "pillars hold the ground",
+            RegionConfig {
+                pillar_from_m: -0.3,
+                ..right
+            },
+        ),
+        (
+            "pillars are cells",
+            RegionConfig {
+                pillar_m: 0.5,
+                ..right
+            },
+        ),
+    ];
+    for (rule, config) in wrong {
+        let region = ValidRegion::build(&world, &recording, &config);
+        let expected = expected(&world, &region, &right);
+        let wrong = (0..expected.len())
+            .filter(|i| (region.cells[*i] == Cell::Free) != (expected[*i] == Cell::Free));
+        assert!(wrong.count() > 3, "{rule}");
+    }
+}
+
+#[test]
+fn the_papers_thresholds_judge_a_raster_of_pillars_on_raw_units() {
+    let build = |base_voxel_m: f64| {
+        let config = RegionConfig {
             max_views: usize::MAX,
-            ..RegionConfig::paper(0.25)
-        },
-    );
-    // The box's density of 100/m is under 30 / 0.25 m.
-    assert_ne!(region.cell_at(DVec2::new(24.0, -3.2)), Cell::Free);
-    let strict = ValidRegion::build(
-        &street(),
-        &drive(SLOPE, 31, 1.0),
-        &RegionConfig {
-            max_views: usize::MAX,
-            ..RegionConfig::paper(0.5)
-        },
-    );
-    let pillar = DVec2::new(24.0, -2.7);
-    assert_eq!(
-        strict.cell_at(pillar),
-        Cell::Blocked,
-        "shares a pillar with the car"
-    );
+            ..RegionConfig::paper(base_voxel_m)
+        };
+        ValidRegion::build(&street(), &drive(SLOPE, 31, 1.0), &config)
+    };
+    // The car's density of 100/m is under 30 / 0.25 m: its wall of voxels does not count, and it is a step in the ground.
+    let beside_car = DVec2::new(24.0, -2.7);
+    assert_eq!(build(0.25).cell_at(DVec2::new(24.0, -3.2)), Cell::Uneven);
+    assert_eq!(build(0.25).cell_at(beside_car), Cell::Free);
+    // Over 30 / 0.5 m, it blocks the whole pillar.
+    assert_eq!(build(0.5).cell_at(beside_car), Cell::Blocked);
 }
 
 #[test]

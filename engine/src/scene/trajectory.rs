@@ -3,7 +3,7 @@
 use glam::{DVec2, DVec3};
 use serde::{Deserialize, Serialize};
 
-use super::coverage::wrap;
+use super::arcs::wrap;
 use crate::camera::Rigid;
 use crate::{Error, Result};
 

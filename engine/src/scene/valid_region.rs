@@ -88,21 +88,43 @@ impl ValidRegion {
         (0..self.cells.len()).filter(|i| self.cells[*i] == Cell::Free)
     }
 
-    /// The plane under a footprint all of whose cells are free and whose corners touch that plane.
+    /// The cells that a footprint overlaps, row by row; `None` if it reaches outside the grid.
+    pub fn cells_under(&self, footprint: &Footprint) -> Option<Vec<usize>> {
+        let (low, high) = footprint.bounds();
+        let (low, high) = (
+            (low - self.origin) / self.cell_m,
+            (high - self.origin) / self.cell_m,
+        );
+        let size = DVec2::new(self.columns as f64, self.rows as f64);
+        if low.cmplt(DVec2::ZERO).any() || high.cmpgt(size).any() {
+            return None;
+        }
+        let last = |high: f64, count: usize| (libm::ceil(high) as usize).min(count);
+        let columns = low.x as usize..last(high.x, self.columns);
+        let rows = low.y as usize..last(high.y, self.rows);
+        let cells = rows.flat_map(|row| columns.clone().map(move |column| (row, column)));
+        let indices = cells.map(|(row, column)| row * self.columns + column);
+        Some(
+            indices
+                .filter(|i| footprint.overlaps_square(self.centre(*i), self.cell_m))
+                .collect(),
+        )
+    }
+
+    /// The plane under a footprint all of whose cells are free and lie near to that plane.
     ///
     /// # Errors
-    /// The worst thing found under the footprint.
+    /// The first thing found under the footprint that is not free ground.
     pub fn support(&self, footprint: &Footprint) -> Result<GroundPlane, Unsupported> {
-        let mut ground = Vec::with_capacity(256);
-        // Half a cell: no cell under the rectangle is stepped over.
-        for p in footprint.points(self.cell_m * 0.5) {
-            match self.cell_at(p) {
+        let cells = self.cells_under(footprint).ok_or(Unsupported::Unseen)?;
+        let mut ground = Vec::with_capacity(cells.len());
+        for index in cells {
+            match self.cells[index] {
                 Cell::Free => {}
                 Cell::Unseen => return Err(Unsupported::Unseen),
                 Cell::Blocked => return Err(Unsupported::Blocked),
                 Cell::Uneven => return Err(Unsupported::Uneven),
             }
-            let index = self.index_at(p).ok_or(Unsupported::Unseen)?;
             ground.push(self.centre(index).extend(self.ground_m[index]));
         }
         let plane = GroundPlane::fit(&ground).ok_or(Unsupported::Unseen)?;

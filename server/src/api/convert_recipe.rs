@@ -1,14 +1,15 @@
 //! Recipes and explicit scenes as they arrive.
 
 use backlot_engine::camera::{Camera, Distortion};
-use backlot_engine::scene::{MAX_SIDE_PX, PlacementPreset, Recipe};
+use backlot_engine::class::ObjectClass;
+use backlot_engine::scene::{ClassShare, Histogram, MAX_SIDE_PX, PlacementPreset, Recipe};
 use backlot_proto::v1;
 use glam::DVec2;
 
 use super::convert_clip::{clip, edits, given_objects};
 use super::convert_drive_log::{FieldReader, Place, object_class_from_wire};
 use crate::domain::blob::Digest;
-use crate::domain::ids::AssetId;
+use crate::domain::ids::{AssetId, DriveLogId};
 use crate::ingest::Violations;
 use crate::samples::{Planes, RecipeRequest, SceneObjectRequest, SceneRequest};
 
@@ -29,15 +30,17 @@ pub(super) fn recipe_from_wire(wire: v1::Recipe, seed: u64) -> Result<RecipeRequ
         .enumerate()
         .map(|(i, name)| asset(&mut fields, &format!("recipe.objects[{i}]"), name))
         .collect();
-    let classes = wire.classes.iter().enumerate().filter_map(|(i, &value)| {
-        let class = object_class_from_wire(value);
-        if class.is_none() {
-            let place = Place::new(format!("recipe.classes[{i}]"));
-            fields.reject(&place, &format!("is {value}, not an ObjectClass"));
+    let classes = classes(&mut fields, &wire.classes);
+    let class_shares = class_shares(&mut fields, &wire.class_shares);
+    for (i, name) in wire.source_logs.iter().enumerate() {
+        if let Err(error) = name.parse::<DriveLogId>() {
+            let place = Place::new(format!("recipe.source_logs[{i}]"));
+            fields.reject(&place, &error.to_string());
         }
-        class
-    });
-    let classes = classes.collect();
+    }
+    let edits = edits(&mut fields, wire.edits);
+    let given_objects = given_objects(&mut fields, wire.given_objects);
+    let clip = clip(&mut fields, wire.clip);
     let mut number = |name: &str, value: Option<f64>, default: f64| {
         let place = Place::new(format!("recipe.{name}"));
         value.map_or(default, |value| fields.finite(&place, value))
@@ -50,24 +53,28 @@ pub(super) fn recipe_from_wire(wire: v1::Recipe, seed: u64) -> Result<RecipeRequ
         wire.jitter_heading_rad,
         jitter.heading_rad,
     );
-    let (min_objects, max_objects) = match (wire.min_objects, wire.max_objects) {
-        (0, 0) => (defaults.min_objects, defaults.max_objects),
-        range => range,
-    };
-    let edits = edits(&mut fields, wire.edits);
-    let given_objects = given_objects(&mut fields, wire.given_objects);
-    let clip = clip(&mut fields, wire.clip);
-    let mut number = |name: &str, value: Option<f64>, default: f64| {
-        let place = Place::new(format!("recipe.{name}"));
-        value.map_or(default, |value| fields.finite(&place, value))
-    };
-    let slack = wire.coverage_slack_rad;
+    let [near, far] = defaults.distance_m;
+    let [least_clear, most_clear] = defaults.clear_fraction;
+    let (least, slack) = (wire.min_height_px, wire.coverage_slack_rad);
     let recipe = Recipe {
-        min_objects,
-        max_objects,
         objects: wire.objects.clone(),
         classes,
+        class_shares,
+        source_logs: wire.source_logs,
+        other_logs_only: wire.other_logs_only,
         jitter,
+        heading: wire.heading_histogram.map(histogram).or(defaults.heading),
+        distance: wire.distance_histogram.map(histogram),
+        distance_m: [
+            number("min_distance_m", wire.min_distance_m, near),
+            number("max_distance_m", wire.max_distance_m, far),
+        ],
+        clear_fraction: [
+            number("min_clear_fraction", wire.min_clear_fraction, least_clear),
+            number("max_clear_fraction", wire.max_clear_fraction, most_clear),
+        ],
+        min_slope: number("min_slope", wire.min_slope, defaults.min_slope),
+        min_height_px: number("min_height_px", least, defaults.min_height_px),
         replace_probability: number("replace_probability", Some(wire.replace_probability), 0.0),
         drop_originals: wire.drop_originals,
         insert_shadows: wire.insert_shadows,
@@ -79,6 +86,15 @@ pub(super) fn recipe_from_wire(wire: v1::Recipe, seed: u64) -> Result<RecipeRequ
         edits,
         given_objects,
         clip,
+        // One bound given alone moves the other of the preset out of its way.
+        min_objects: wire.min_objects.unwrap_or_else(|| {
+            let most = wire.max_objects.unwrap_or(defaults.max_objects);
+            defaults.min_objects.min(most)
+        }),
+        max_objects: wire.max_objects.unwrap_or_else(|| {
+            let least = wire.min_objects.unwrap_or(defaults.min_objects);
+            defaults.max_objects.max(least)
+        }),
         ..defaults
     };
     if let Err(error) = recipe.validate() {
@@ -156,13 +172,57 @@ pub(super) fn scene_from_wire(wire: v1::RenderSceneRequest) -> Result<SceneReque
     })
 }
 
+fn classes(fields: &mut FieldReader, wire: &[i32]) -> Vec<ObjectClass> {
+    let named = wire.iter().enumerate();
+    named
+        .filter_map(|(i, &value)| class(fields, format!("recipe.classes[{i}]"), value))
+        .collect()
+}
+
+fn class_shares(fields: &mut FieldReader, wire: &[v1::ClassShare]) -> Vec<ClassShare> {
+    let shares = wire.iter().enumerate();
+    shares
+        .filter_map(|(i, share)| {
+            let place = format!("recipe.class_shares[{i}].object_class");
+            Some(ClassShare {
+                class: class(fields, place, share.object_class)?,
+                weight: share.weight,
+            })
+        })
+        .collect()
+}
+
+fn class(fields: &mut FieldReader, place: String, value: i32) -> Option<ObjectClass> {
+    let class = object_class_from_wire(value);
+    if class.is_none() {
+        fields.reject(
+            &Place::new(place),
+            &format!("is {value}, not an ObjectClass"),
+        );
+    }
+    class
+}
+
+fn histogram(wire: v1::Histogram) -> Histogram {
+    Histogram {
+        weights: wire.weights,
+    }
+}
+
 fn preset(fields: &mut FieldReader, value: i32) -> PlacementPreset {
-    match v1::PlacementPreset::try_from(value) {
-        Ok(v1::PlacementPreset::Unspecified | v1::PlacementPreset::Default) => {
-            PlacementPreset::Default
-        }
-        Ok(v1::PlacementPreset::Paper) => PlacementPreset::Paper,
-        Ok(v1::PlacementPreset::PaperNoRt) => PlacementPreset::PaperNoRt,
+    use v1::PlacementPreset as Wire;
+    match Wire::try_from(value) {
+        Ok(Wire::Unspecified | Wire::Default) => PlacementPreset::Default,
+        Ok(Wire::Paper) => PlacementPreset::Paper,
+        Ok(Wire::PaperNoRt) => PlacementPreset::PaperNoRt,
+        Ok(Wire::BalancedHeading) => PlacementPreset::BalancedHeading,
+        Ok(Wire::Far) => PlacementPreset::Far,
+        Ok(Wire::Dense) => PlacementPreset::Dense,
+        Ok(Wire::Occluded) => PlacementPreset::Occluded,
+        Ok(Wire::StrangeHeading) => PlacementPreset::StrangeHeading,
+        Ok(Wire::OnSlope) => PlacementPreset::OnSlope,
+        Ok(Wire::CutIn) => PlacementPreset::CutIn,
+        Ok(Wire::DenseQueue) => PlacementPreset::DenseQueue,
         Err(_) => {
             let what = format!("is {value}, not a PlacementPreset");
             fields.reject(&Place::new("recipe.preset"), &what);
@@ -244,6 +304,72 @@ mod tests {
             ..recipe()
         };
         assert!(violation(nan).starts_with("recipe.coverage_slack_rad: is NaN"));
+    }
+
+    #[test]
+    fn one_bound_alone_moves_the_presets_other() {
+        let bounds = |min_objects, max_objects| {
+            let wire = v1::Recipe {
+                min_objects,
+                max_objects,
+                ..recipe()
+            };
+            let made = recipe_from_wire(wire, 0).map(|r| r.recipe);
+            made.map(|r| (r.min_objects, r.max_objects))
+        };
+        assert_eq!(bounds(None, None).unwrap(), (1, 3));
+        assert_eq!(bounds(Some(0), Some(0)).unwrap(), (0, 0));
+        assert_eq!(bounds(Some(8), None).unwrap(), (8, 8));
+        assert_eq!(bounds(None, Some(0)).unwrap(), (0, 0));
+        assert!(bounds(Some(3), Some(1)).is_err());
+    }
+
+    #[test]
+    fn every_preset_has_its_name_on_the_wire() {
+        for value in 1..=11 {
+            let wire = v1::Recipe {
+                preset: value,
+                ..recipe()
+            };
+            let preset = recipe_from_wire(wire, 0).unwrap().recipe.preset;
+            let name = v1::PlacementPreset::try_from(value).unwrap().as_str_name();
+            let engine = serde_json::to_string(&preset).unwrap().to_uppercase();
+            assert_eq!(
+                name,
+                format!("PLACEMENT_PRESET_{}", engine.trim_matches('"'))
+            );
+        }
+        let unknown = v1::Recipe {
+            preset: 12,
+            ..recipe()
+        };
+        assert!(recipe_from_wire(unknown, 0).is_err());
+    }
+
+    #[test]
+    fn distributions_that_are_none_are_refused() {
+        let refused = |spoil: fn(&mut v1::Recipe), part: &str| {
+            let mut wire = recipe();
+            spoil(&mut wire);
+            let error = recipe_from_wire(wire, 0).unwrap_err().to_string();
+            assert!(error.contains(part), "{error}");
+        };
+        refused(
+            |r| r.heading_histogram = Some(v1::Histogram::default()),
+            "heading_histogram has 0 bins",
+        );
+        refused(
+            |r| r.distance_histogram = Some(v1::Histogram { weights: vec![0.0] }),
+            "distance_histogram has no weight",
+        );
+        refused(|r| r.classes = vec![77], "recipe.classes[0]: is 77");
+        refused(
+            |r| r.class_shares = vec![v1::ClassShare::default()],
+            "recipe.class_shares[0].object_class: is 0",
+        );
+        refused(|r| r.min_distance_m = Some(-3.0), "distance_m -3");
+        refused(|r| r.max_distance_m = Some(2.0), "distance_m 6..2");
+        refused(|r| r.min_objects = Some(40), "objects");
     }
 
     #[test]

@@ -6,7 +6,7 @@ use backlot_proto::v1;
 
 use super::convert_drive_log::{object_class_to_wire, rigid_to_wire, vector_to_wire};
 use crate::domain::blob::Digest;
-use crate::samples::{DEPTH_UNIT_M, Sample, SampleBox, SampleFrame};
+use crate::samples::{DEPTH_UNIT_M, Sample, SampleBox, SampleFrame, SamplePlan};
 
 /// Where a sample comes from, besides what it knows itself.
 #[derive(Clone, Debug)]
@@ -46,6 +46,18 @@ pub(super) fn sample_to_wire(sample: Sample, index: u64, origins: &Origins) -> v
             .into_iter()
             .map(|frame| frame_to_wire(frame, &sample.world_from_local))
             .collect(),
+    }
+}
+
+pub(super) fn plan_to_wire(plan: SamplePlan, index: u64) -> v1::SamplePlan {
+    v1::SamplePlan {
+        index,
+        camera_id: plan.camera_id,
+        frame_index: plan.frame_index,
+        view: Some(view_to_wire(&plan.camera, &plan.world_from_camera)),
+        world_from_ego: Some(rigid_to_wire(&plan.world_from_ego)),
+        boxes_3d: plan.boxes.iter().map(box_to_wire).collect(),
+        rejections: plan.rejections.into_iter().collect(),
     }
 }
 

@@ -26,6 +26,9 @@ pub(crate) const UPLOAD_IDLE: Duration = Duration::from_secs(30);
 /// Samples of one call.
 pub(crate) const MAX_SAMPLES: u64 = 100_000;
 
+/// Plans of one call: about 2 KiB each.
+pub(crate) const MAX_PLANS: u64 = 1_000;
+
 /// Calls that render at once; all share the engine's threads.
 pub(crate) const MAX_RENDERINGS: usize = 16;
 

@@ -3,6 +3,7 @@
 use std::pin::Pin;
 use std::sync::Arc;
 
+use backlot_engine::Error as EngineError;
 use backlot_engine::backend::Backend;
 use backlot_proto::v1;
 use backlot_proto::v1::sample_service_server::SampleService;
@@ -14,11 +15,11 @@ use tonic::{Request, Response, Status};
 
 use super::blocking::blocking;
 use super::convert_recipe::{recipe_from_wire, scene_from_wire};
-use super::convert_sample::{Origins, sample_to_wire};
-use super::limits::{MAX_RENDERINGS, MAX_SAMPLES, SAMPLES_AHEAD};
+use super::convert_sample::{Origins, plan_to_wire, sample_to_wire};
+use super::limits::{MAX_PLANS, MAX_RENDERINGS, MAX_SAMPLES, SAMPLES_AHEAD};
 use super::status::{invalid_field, status, to_status, violations_status};
 use crate::error::ErrorKind;
-use crate::samples::{AssetCache, RecipeSamples, render_scene};
+use crate::samples::{self, AssetCache, RecipeRequest, RecipeSamples, render_scene};
 use crate::store::Store;
 
 /// Samples from the library of one store.
@@ -63,7 +64,7 @@ impl SampleService for SampleApi {
         request: Request<v1::StreamSamplesRequest>,
     ) -> Result<Response<SampleStream>, Status> {
         let request = request.into_inner();
-        let indices = indices(&request)?;
+        let indices = indices(request.start_index, request.count, MAX_SAMPLES)?;
         let wire = request
             .recipe
             .ok_or_else(|| invalid_field("recipe", "is missing"))?;
@@ -91,6 +92,31 @@ impl SampleService for SampleApi {
         };
         spawn(work)?;
         Ok(Response::new(Box::pin(ReceiverStream::new(receiver))))
+    }
+
+    async fn plan_samples(
+        &self,
+        request: Request<v1::PlanSamplesRequest>,
+    ) -> Result<Response<v1::PlanSamplesResponse>, Status> {
+        let request = request.into_inner();
+        let indices = indices(request.start_index, request.count, MAX_PLANS)?;
+        let wire = request
+            .recipe
+            .ok_or_else(|| invalid_field("recipe", "is missing"))?;
+        let recipe = recipe_from_wire(wire, request.seed).map_err(|e| violations_status(&e))?;
+        let permit = self.permit()?;
+        let (cache, stopping) = (self.cache.clone(), self.stopping.clone());
+        let (sender, receiver) = oneshot::channel();
+        let work = move || {
+            let _permit = permit;
+            let cancelled = || sender.is_closed() || stopping.is_cancelled();
+            let planned = plans(cache, recipe, indices, &cancelled);
+            let _ = sender.send(planned.map_err(|e| to_status(&e)));
+        };
+        spawn(work)?;
+        let panicked = |_| status(ErrorKind::Internal, "planning panicked");
+        let reply = receiver.await.map_err(panicked)??;
+        Ok(Response::new(reply))
     }
 
     async fn render_scene(
@@ -123,14 +149,34 @@ impl SampleService for SampleApi {
     }
 }
 
-fn indices(request: &v1::StreamSamplesRequest) -> Result<std::ops::Range<u64>, Status> {
-    if request.count == 0 || request.count > MAX_SAMPLES {
-        let what = format!("is {}, not 1 to {MAX_SAMPLES}", request.count);
+fn indices(start: u64, count: u64, most: u64) -> Result<std::ops::Range<u64>, Status> {
+    if count == 0 || count > most {
+        let what = format!("is {count}, not 1 to {most}");
         return Err(invalid_field("count", what));
     }
-    let end = request.start_index.checked_add(request.count);
+    let end = start.checked_add(count);
     let end = end.ok_or_else(|| invalid_field("start_index", "is too large"))?;
-    Ok(request.start_index..end)
+    Ok(start..end)
+}
+
+fn plans(
+    cache: Arc<AssetCache>,
+    recipe: RecipeRequest,
+    indices: std::ops::Range<u64>,
+    cancelled: &dyn Fn() -> bool,
+) -> samples::Result<v1::PlanSamplesResponse> {
+    let samples = RecipeSamples::prepare(cache, recipe)?;
+    let mut plans = Vec::new();
+    for index in indices {
+        if cancelled() {
+            return Err(EngineError::Cancelled.into());
+        }
+        plans.push(plan_to_wire(samples.plan(index)?, index));
+    }
+    Ok(v1::PlanSamplesResponse {
+        library_snapshot: format!("librarySnapshots/{}", samples.snapshot()),
+        plans,
+    })
 }
 
 fn next(

@@ -12,6 +12,7 @@ use backlot_engine::{Asset, Error as EngineError};
 use super::cache::AssetCache;
 use super::error::{Error, Result};
 use super::library::{self, Objects};
+use super::plan::{SamplePlan, plan_of};
 use super::sample::{
     FrameObjects, Sample, SampleFrame, SampleObject, boxes, encode_planes, render_class,
 };
@@ -85,6 +86,20 @@ impl RecipeSamples {
     /// Digest of the library the samples are made from.
     pub fn snapshot(&self) -> Digest {
         self.snapshot
+    }
+
+    /// Composes one sample without rendering it: the poses that [`Self::sample`] renders.
+    ///
+    /// # Errors
+    /// Why the sample cannot be made.
+    pub fn plan(&self, index: u64) -> Result<SamplePlan> {
+        let header = &self.background.header;
+        let stage = Stage::from_header(&self.request.background.to_string(), header)?;
+        let candidates = &self.objects.candidates;
+        let request = &self.request;
+        let composition = compose(&stage, candidates, &request.recipe, request.seed, index)?;
+        let world_from_local = header.local_from_world.inverse();
+        Ok(plan_of(&stage, composition, candidates, &world_from_local))
     }
 
     /// Makes one sample. `cancelled` is asked often.
@@ -307,7 +322,7 @@ fn check_pixels(frames: &[Composition]) -> Result<()> {
     })
 }
 
-fn object_of(candidate: &Candidate) -> SampleObject {
+pub(super) fn object_of(candidate: &Candidate) -> SampleObject {
     SampleObject {
         asset: candidate.name.clone(),
         source_log: candidate.source_log.clone(),

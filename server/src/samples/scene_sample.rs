@@ -81,6 +81,16 @@ pub fn render_scene(
         None => Rigid::new(DQuat::IDENTITY, -request.world_from_camera.translation_m),
     };
     let composition = composition(request, &assets, &local_from_world);
+    let eye = composition.local_from_camera.translation_m;
+    let holds_camera = |object: &PlacedObject| object.occupied().contains(eye);
+    if let Some(i) = composition.objects.iter().position(holds_camera) {
+        return Err(Error::Invalid {
+            what: format!(
+                "objects[{i}] ({}): the camera is inside it",
+                request.objects[i].asset
+            ),
+        });
+    }
     let sample = finish(
         cache.backend(),
         request,

@@ -17,8 +17,9 @@ class Recipe:
     Attributes:
         background: `assets/{id}` of a background.
         library_snapshot: `librarySnapshots/{digest}` to draw objects from; empty means the library when the stream is opened.
-        preset: "DEFAULT", "PAPER" (the paper's jitter; poses beyond the observed views are flagged) or "PAPER_NO_RT" (no jitter).
-        min_objects, max_objects: objects inserted a sample; both 0 means 1 to 3.
+        preset: "DEFAULT", "PAPER" (the paper's jitter; poses beyond the observed views are flagged), "PAPER_NO_RT" (no jitter),
+            "BALANCED_HEADING", "FAR", "DENSE", or a corner case: "OCCLUDED", "STRANGE_HEADING", "ON_SLOPE", "CUT_IN", "DENSE_QUEUE".
+        min_objects, max_objects: objects inserted a sample; None means the preset's, 0 and 0 insert nothing.
         objects: assets to draw from; empty means every library object.
         classes: classes to draw from, e.g. ("CAR", "VAN"); empty means all.
         jitter_x_m, jitter_y_m: maxima in metres, forward and left in the recorded ego frame; None means the preset's.
@@ -35,13 +36,23 @@ class Recipe:
         edits: what becomes of original movers; one that cannot go where it is sent stays and is counted as "given_refused".
         given_objects: objects at given places, besides those that are drawn; one that cannot stand there is left out and counted likewise.
         clip: several frames a sample; None means one.
+        heading_histogram: shares of equal bins of camera-relative heading from -pi to pi; empty leaves it to the preset. 0 drives
+            straight away from the camera, pi / 2 shows the object's left side.
+        distance_histogram: shares of equal bins from min_distance_m to max_distance_m; empty is even.
+        min_distance_m, max_distance_m: from the camera to the objects' centres; None means the preset's.
+        class_shares: (class, weight) pairs, e.g. (("CAR", 3.0), ("PEDESTRIAN", 1.0)); empty draws as there are assets.
+        source_logs: `driveLogs/{id}` whose objects may be drawn; empty means all.
+        other_logs_only: draws no object of the background's own log.
+        min_clear_fraction, max_clear_fraction: least fraction of clear sight lines to an object; largest that the environment leaves.
+        min_slope: least slope of the ground under an object, metres per metre.
+        min_height_px: least height of an object's projection.
     """
 
     background: str
     library_snapshot: str = ""
     preset: str = "DEFAULT"
-    min_objects: int = 0
-    max_objects: int = 0
+    min_objects: int | None = None
+    max_objects: int | None = None
     objects: tuple[str, ...] = ()
     classes: tuple[str, ...] = ()
     jitter_x_m: float | None = None
@@ -60,6 +71,17 @@ class Recipe:
     edits: tuple[ActorEdit, ...] = ()
     given_objects: tuple[GivenObject, ...] = ()
     clip: Clip | None = None
+    heading_histogram: tuple[float, ...] = ()
+    distance_histogram: tuple[float, ...] = ()
+    min_distance_m: float | None = None
+    max_distance_m: float | None = None
+    class_shares: tuple[tuple[str, float], ...] = ()
+    source_logs: tuple[str, ...] = ()
+    other_logs_only: bool = False
+    min_clear_fraction: float | None = None
+    max_clear_fraction: float | None = None
+    min_slope: float | None = None
+    min_height_px: float | None = None
 
     def pinned(self, library_snapshot: str) -> Recipe:
         """The same recipe over a fixed snapshot, so that a growing library does not change its samples."""
@@ -72,10 +94,19 @@ class Recipe:
         fields["given_objects"] = [given.to_proto() for given in self.given_objects]
         fields["clip"] = None if self.clip is None else self.clip.to_proto()
         fields["preset"] = samples_pb2.PlacementPreset.Value(f"PLACEMENT_PRESET_{self.preset}")
-        fields["classes"] = [common_pb2.ObjectClass.Value(f"OBJECT_CLASS_{name}") for name in self.classes]
+        fields["classes"] = [_class(name) for name in self.classes]
+        fields["class_shares"] = [samples_pb2.ClassShare(object_class=_class(name), weight=weight) for name, weight in self.class_shares]
+        for name in ("heading_histogram", "distance_histogram"):
+            weights = fields.pop(name)
+            if weights:
+                fields[name] = samples_pb2.Histogram(weights=weights)
         return samples_pb2.Recipe(**fields)
 
     def fingerprint(self) -> str:
         """32 hexadecimal digits that change with any field."""
         canonical = json.dumps(dataclasses.asdict(self), sort_keys=True)
         return hashlib.blake2b(canonical.encode(), digest_size=16).hexdigest()
+
+
+def _class(name: str) -> int:
+    return common_pb2.ObjectClass.Value(f"OBJECT_CLASS_{name}")

@@ -5,6 +5,8 @@ use std::path::PathBuf;
 use backlot_engine::backend::DeviceChoice;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 
+use crate::recipe::RecipeOptions;
+
 /// Turn driving logs into labelled, augmented images.
 #[derive(Debug, Parser)]
 #[command(name = "backlot", version, propagate_version = true)]
@@ -229,8 +231,26 @@ pub(crate) enum AssetsCommand {
         #[arg(long, value_name = "FILE")]
         out: PathBuf,
     },
+    /// Draw where objects may stand on a background, seen from above, with placements that a recipe would make.
+    ValidRegion(ValidRegionOptions),
     /// Remove an asset from the library.
     Delete { asset: String },
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct ValidRegionOptions {
+    /// A background.
+    pub asset: String,
+    /// The map, a PNG.
+    #[arg(long, value_name = "FILE")]
+    pub out: PathBuf,
+    /// Samples whose placements are drawn.
+    #[arg(long, value_name = "N", default_value_t = 100)]
+    pub samples: u64,
+    #[arg(long, default_value_t = 0)]
+    pub seed: u64,
+    #[command(flatten)]
+    pub recipe: RecipeOptions,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -253,8 +273,8 @@ pub(crate) struct AugmentOptions {
     /// First sample of the recipe's sequence: continues an interrupted run.
     #[arg(long, default_value_t = 0, value_name = "INDEX")]
     pub start: u64,
-    #[arg(long, value_enum, default_value_t = Preset::Default)]
-    pub preset: Preset,
+    #[command(flatten)]
+    pub recipe: RecipeOptions,
     /// Forms of the labels, several separated by commas.
     #[arg(
         long,
@@ -264,23 +284,6 @@ pub(crate) struct AugmentOptions {
         default_value = "kitti"
     )]
     pub labels: Vec<LabelFormat>,
-    /// Library snapshot to draw from; by default the present library.
-    #[arg(long, value_name = "SNAPSHOT")]
-    pub snapshot: Option<String>,
-    /// Objects inserted a sample.
-    #[arg(long, value_name = "N", default_value_t = 1)]
-    pub min_objects: u32,
-    #[arg(long, value_name = "N", default_value_t = 3)]
-    pub max_objects: u32,
-    /// Object assets to draw from; by default every one that passed the quality gate.
-    #[arg(long, value_delimiter = ',', value_name = "ASSET")]
-    pub objects: Vec<String>,
-    /// Probability that an original object is replaced by one of the library.
-    #[arg(long, value_name = "0..1", default_value_t = 0.0)]
-    pub replace: f64,
-    /// Leave the original moving objects out.
-    #[arg(long)]
-    pub drop_originals: bool,
     #[command(flatten)]
     pub actors: ActorOptions,
     #[command(flatten)]
@@ -297,9 +300,6 @@ pub(crate) struct AugmentOptions {
     /// Size of the longer side of the images; by default as recorded.
     #[arg(long, value_name = "PIXELS", default_value_t = 0)]
     pub longer_side: u32,
-    /// Camera of the log to render; by default the first.
-    #[arg(long, default_value = "")]
-    pub camera: String,
     /// Write no depth images.
     #[arg(long)]
     pub no_depth: bool,
@@ -434,13 +434,6 @@ pub(crate) struct DemoOptions {
     /// Samples to render; the paper makes 12 of each background.
     #[arg(long, default_value_t = 12)]
     pub count: u64,
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub(crate) enum Preset {
-    Default,
-    Paper,
-    PaperNoRt,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]

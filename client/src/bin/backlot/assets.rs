@@ -11,6 +11,7 @@ use serde::Serialize;
 
 use crate::args::{AssetKind, AssetsCommand, Output};
 use crate::output::{self, Row, measured};
+use crate::valid_region;
 
 pub(crate) async fn run(
     connection: &Connection,
@@ -42,6 +43,7 @@ pub(crate) async fn run(
             eprintln!("{} written to {}", asset.name, out.display());
             Ok(())
         }
+        AssetsCommand::ValidRegion(options) => valid_region::run(connection, &options).await,
         AssetsCommand::Delete { asset } => {
             let name = names::asset(&asset)?;
             let request = v1::DeleteAssetRequest { name: name.clone() };
@@ -54,7 +56,7 @@ pub(crate) async fn run(
     }
 }
 
-async fn get(connection: &Connection, name: &str) -> anyhow::Result<v1::Asset> {
+pub(crate) async fn get(connection: &Connection, name: &str) -> anyhow::Result<v1::Asset> {
     let request = v1::GetAssetRequest {
         name: name.to_owned(),
     };

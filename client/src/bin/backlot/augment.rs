@@ -5,7 +5,7 @@ use backlot_client::sample_files::{LabelFormat, SampleFiles};
 use backlot_client::{Connection, names};
 use backlot_proto::v1;
 
-use crate::args::{self, ActorOptions, AugmentOptions, GivenObjectName, Preset};
+use crate::args::{self, ActorOptions, AugmentOptions, GivenObjectName};
 use crate::progress::Progress;
 
 pub(crate) async fn run(connection: &Connection, options: &AugmentOptions) -> anyhow::Result<()> {
@@ -78,29 +78,11 @@ pub(crate) async fn stream(
 }
 
 fn recipe(options: &AugmentOptions) -> anyhow::Result<v1::Recipe> {
-    ensure!(
-        (0.0..=1.0).contains(&options.replace),
-        "--replace must lie between 0 and 1"
-    );
-    let preset = match options.preset {
-        Preset::Default => v1::PlacementPreset::Default,
-        Preset::Paper => v1::PlacementPreset::Paper,
-        Preset::PaperNoRt => v1::PlacementPreset::PaperNoRt,
-    };
-    let objects = options.objects.iter().map(|name| names::asset(name));
+    let background = names::asset(&options.background)?;
     Ok(v1::Recipe {
-        library_snapshot: options.snapshot.clone().unwrap_or_default(),
-        background: names::asset(&options.background)?,
-        preset: preset.into(),
-        min_objects: options.min_objects,
-        max_objects: options.max_objects,
-        objects: objects.collect::<Result<_, _>>()?,
-        replace_probability: options.replace,
-        drop_originals: options.drop_originals,
         insert_shadows: !options.no_shadows,
         keep_tones: options.keep_tones,
         longer_side_px: options.longer_side,
-        camera_id: options.camera.clone(),
         omit_depth: options.no_depth,
         omit_instance: options.no_instance,
         frame_indices: options.frame_indices.clone(),
@@ -112,7 +94,7 @@ fn recipe(options: &AugmentOptions) -> anyhow::Result<v1::Recipe> {
             min_speed_mps: options.clip.speed[0],
             max_speed_mps: options.clip.speed[1],
         }),
-        ..Default::default()
+        ..options.recipe.recipe(background)?
     })
 }
 

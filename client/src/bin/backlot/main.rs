@@ -2,6 +2,8 @@
 
 mod args;
 
+mod recipe;
+
 mod output;
 mod progress;
 
@@ -9,6 +11,8 @@ mod input;
 mod inspect;
 
 mod assets;
+mod valid_region;
+
 mod augment;
 mod demo;
 mod devices;
