@@ -4,7 +4,7 @@ use glam::{DVec2, DVec3};
 
 use super::density::DensityField;
 use super::recording::{RecordedCamera, RecordedFrame, RecordedTrack, Recording};
-use super::solid_field::solid_field;
+use super::solid_field::stepped_field;
 use crate::camera::{Camera, Distortion, Rigid};
 use crate::class::ObjectClass;
 use crate::field::Field;
@@ -84,13 +84,15 @@ impl BoxWorld {
             self.half_width as f32,
             rise as f32 + 4.0,
         );
-        solid_field(low, high, voxel_m, [0.4; 3], |p| {
+        stepped_field((low, high), voxel_m, [0.4; 3], MARCH_STEP_M, |p| {
             let voxels = self.depth(p.as_dvec3()) as f32 / voxel_m;
             (RAW_PER_VOXEL * voxels.clamp(-1.0, 1.0)).exp().ln_1p() / voxel_m
         })
     }
 }
 
+/// So fine that a ray does not step over a corner.
+const MARCH_STEP_M: f32 = 0.02;
 /// Raw density a voxel below a surface; a voxel above it is empty to 1e-6.
 const RAW_PER_VOXEL: f32 = 15.0;
 

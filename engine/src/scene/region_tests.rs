@@ -33,7 +33,8 @@ pub(super) fn config() -> RegionConfig {
     }
 }
 
-/// What each cell must be, from the definition and sight lines that share no code with the region's.
+/// What each cell must be, from the definition and sight lines that share no code with the region's, down to the ground it found
+/// (which the caller compares with the world's).
 pub(super) fn expected(
     world: &BoxWorld,
     density: &dyn DensityField,
@@ -73,7 +74,8 @@ pub(super) fn expected(
                 Cell::Unseen
             } else if !in_clear_pillar(c) {
                 Cell::Blocked
-            } else if is_seen(c.extend(world.ground(c.x))) {
+            } else if region.ground_m[cell].is_finite() && is_seen(c.extend(region.ground_m[cell]))
+            {
                 Cell::Free
             } else {
                 Cell::Unseen

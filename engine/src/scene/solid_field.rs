@@ -7,12 +7,23 @@ use crate::field::{
     SkyMap,
 };
 
-/// A field over a box whose nodes hold `sigma` (1/m), of one colour.
+/// A field over a box whose nodes hold `sigma` (1/m), of one colour, marched by half a voxel.
 pub(super) fn solid_field(
     low: Vec3,
     high: Vec3,
     voxel_m: f32,
     rgb: [f32; 3],
+    sigma: impl Fn(Vec3) -> f32,
+) -> Field {
+    stepped_field((low, high), voxel_m, rgb, 0.5 * voxel_m, sigma)
+}
+
+/// [`solid_field`], marched by `step_m`.
+pub(super) fn stepped_field(
+    (low, high): (Vec3, Vec3),
+    voxel_m: f32,
+    rgb: [f32; 3],
+    step_m: f32,
     sigma: impl Fn(Vec3) -> f32,
 ) -> Field {
     let activation = DensityActivation::from_alpha(1e-6, voxel_m);
@@ -42,7 +53,7 @@ pub(super) fn solid_field(
     }
     Field {
         bounds_m: (low, high),
-        occupancy: full(voxel_m, low, high),
+        occupancy: full(voxel_m, low, high, step_m),
         levels: vec![level],
         activation,
         mlp,
@@ -51,13 +62,13 @@ pub(super) fn solid_field(
     }
 }
 
-fn full(voxel_m: f32, low: Vec3, high: Vec3) -> Occupancy {
+fn full(voxel_m: f32, low: Vec3, high: Vec3, step_m: f32) -> Occupancy {
     let mut occupancy = Occupancy::new(voxel_m, low, high - low).unwrap();
     let blocks = occupancy.blocks_per_axis();
     for z in 0..blocks.z {
         for y in 0..blocks.y {
             for x in 0..blocks.x {
-                occupancy.set_block(UVec3::new(x, y, z), [u64::MAX; 8], voxel_m * 0.5);
+                occupancy.set_block(UVec3::new(x, y, z), [u64::MAX; 8], step_m);
             }
         }
     }
