@@ -49,8 +49,9 @@ pub(super) fn expected(
     };
     // Cells of half a metre: a pillar of 2 m x 2 m has four by four.
     let offsets = || (0..16).map(|i| DVec2::new(f64::from(i % 4), f64::from(i / 4)) * 0.5);
+    let is_clear = |c: DVec2| region.index_at(c).is_some() && !inside(c);
     let in_clear_pillar =
-        |c: DVec2| offsets().any(|corner| offsets().all(|cell| !inside(c - corner + cell)));
+        |c: DVec2| offsets().any(|corner| offsets().all(|cell| is_clear(c - corner + cell)));
     let is_seen = |ground: DVec3| {
         let views = recording.frames.iter().filter(|frame| {
             let eye = frame.local_from_camera.translation_m;
