@@ -24,7 +24,7 @@ const LIDAR_EVERY: u32 = 7;
 fn near() -> RegionConfig {
     RegionConfig {
         ahead_m: 6.0,
-        max_lateral_m: 6.5,
+        max_lateral_m: 7.5,
         view_range_m: 25.0,
         ..config()
     }
