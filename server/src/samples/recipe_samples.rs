@@ -5,7 +5,8 @@ use std::sync::Arc;
 use backlot_engine::asset::AssetKind;
 use backlot_engine::scene::{
     Candidate, Composition, Draws, InstanceMask, Recipe, RecordedImage, RecordedTrack,
-    RenderOptions, Scene, Stage, Tone, compose_clip, finish, label, match_tones, needs_recorded,
+    RenderOptions, Scene, Stage, Tone, compose, compose_clip, finish, label, match_tones,
+    needs_recorded,
 };
 use backlot_engine::{Asset, Error as EngineError};
 
