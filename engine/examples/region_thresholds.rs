@@ -77,7 +77,7 @@ fn collect(asset: &Asset, road: &mut Vec<Pillar>, cars: &mut Vec<Pillar>) -> any
         }
         if let Some(ground) = region.ground_height(at.truncate()) {
             let low = at.truncate().extend(ground);
-            road.push(pillar(&asset.field, low, SIDE_M, &config));
+            road.push(pillar(asset.field.as_ref(), low, SIDE_M, &config));
         }
     }
     for track in recording.tracks.iter().filter(|t| !t.moving) {
@@ -95,7 +95,12 @@ fn collect(asset: &Asset, road: &mut Vec<Pillar>, cars: &mut Vec<Pillar>) -> any
         let side = track.size_m.y.min(SIDE_M) - MARGIN_M;
         for along in [-0.3, 0.0, 0.3] {
             let offset = DVec3::new(along * track.size_m.x, 0.0, -0.5 * track.size_m.z);
-            cars.push(pillar(&asset.field, pose.point(offset), side, &config));
+            cars.push(pillar(
+                asset.field.as_ref(),
+                pose.point(offset),
+                side,
+                &config,
+            ));
         }
     }
     Ok(())

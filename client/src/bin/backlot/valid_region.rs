@@ -40,7 +40,7 @@ pub(crate) async fn run(
     );
     let plans = plans(connection, options, &name).await?;
     let boxes = boxes(&plans);
-    let map = region_map(&name, &asset.header, &asset.field, &boxes)?;
+    let map = region_map(&name, &asset.header, asset.field.as_ref(), &boxes)?;
     map.save(&options.out)
         .with_context(|| format!("writing {}", options.out.display()))?;
     let placed = boxes.iter().filter(|b| b.inserted).count();
