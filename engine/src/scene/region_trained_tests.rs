@@ -7,6 +7,7 @@ use super::recording::Recording;
 use super::region_builder::RegionConfig;
 use super::region_tests::{config, draw, expected, street};
 use super::valid_region::{Cell, ValidRegion};
+use crate::backend::cpu::CpuBackend;
 use crate::camera::Camera;
 use crate::train::{BackgroundInput, Budget, NoControl, TrainPreset, train_background};
 use crate::view::{DepthReturn, PixelLabel, Split, TrainView};
@@ -106,7 +107,7 @@ fn trained_region(steps: u64) -> (ValidRegion, BoxWorld) {
         ..TrainPreset::background(Budget::Quick)
     };
     let input = input(&world, &recording);
-    let trained = train_background(&input, &preset, 1, &NoControl).unwrap();
+    let trained = train_background(&input, &preset, 1, &CpuBackend, &NoControl).unwrap();
     let region = ValidRegion::build(&trained.field, &recording, &near());
     (region, world)
 }
