@@ -39,6 +39,22 @@ fn every_command_of_the_contract_explains_itself() {
 }
 
 #[test]
+fn devices_lists_the_processor_and_says_what_auto_takes() {
+    let listed = backlot(&["devices", "--output", "json"]);
+    assert!(listed.status.success(), "{listed:?}");
+    let rows: Vec<serde_json::Value> =
+        serde_json::from_slice(&listed.stdout).expect("an array of objects");
+    assert_eq!(rows[0]["device"], "cpu");
+    for row in &rows[1..] {
+        assert_eq!(
+            row["automatic"],
+            row["kind"] != "software" && row["kind"] != "unknown"
+        );
+        assert!(row["max_binding_bytes"].as_u64() > Some(0), "{row}");
+    }
+}
+
+#[test]
 fn unknown_commands_and_options_fail() {
     for arguments in [
         &["paint"][..],

@@ -27,6 +27,22 @@ fn a_bad_address_or_option_fails() {
     for arguments in [
         &["--data-dir", data, "--listen", "nowhere"][..],
         &["--data-dir", data, "--colour"],
+        &[
+            "--data-dir",
+            data,
+            "--listen",
+            "127.0.0.1:0",
+            "--device",
+            "cuda",
+        ],
+        &[
+            "--data-dir",
+            data,
+            "--listen",
+            "127.0.0.1:0",
+            "--device",
+            "gpu:99",
+        ],
     ] {
         let refused = backlotd(arguments);
         assert!(

@@ -21,8 +21,10 @@ pub struct Binding {
 /// One compute kernel: a WGSL entry point together with the libraries it uses.
 #[derive(Clone, Copy, Debug)]
 pub struct Kernel {
-    /// Name of the entry point, of its file without the ending, and label of what is made from it.
+    /// Label of what is made from it; the entry point's name unless the kernel is a variant of another.
     pub name: &'static str,
+    /// Name of the entry point and of its file without the ending.
+    pub entry: &'static str,
     /// Files under `wgsl/` that `source` is concatenated from.
     pub files: &'static [&'static str],
     /// WGSL text. Module scope has no order in WGSL, so concatenation is all the composition there is.
@@ -49,6 +51,7 @@ macro_rules! kernel_of {
     ($name:literal, $($file:literal),+ $(,)?) => {
         $crate::kernel::Kernel {
             name: $name,
+            entry: $name,
             files: &[$(concat!($file, ".wgsl")),+],
             source: concat!($(include_str!(concat!("../wgsl/", $file, ".wgsl"))),+),
             bindings: &[],

@@ -3,6 +3,10 @@
 use crate::kernel::{Access, Binding, Kernel, kernel_of};
 use crate::layout::{Block, Level, MarchParams, Ray, RaySample, RaySummary};
 
+pub use crate::scene::{
+    EYE_RAYS, MARCH_DENSITY_SPLIT, MERGE_SCENE, MERGE_SCENE_SPLIT, OBJECT_SAMPLES, SCENE_COLORS,
+    SCENE_FEATURES, SCENE_NETWORK, SCENE_SKY, SCENE_SLOTS,
+};
 pub use crate::training::{
     BRICK_VARIATION, COMPOSITE_SAMPLES, GATHER_INPUTS, LAYER_GRADIENTS, NETWORK_BACKWARD,
     NETWORK_FORWARD, RAY_LOSSES, SCATTER_GRADIENTS, SMOOTH_BRICKS, STEP_BRICKS, STEP_NETWORK,
@@ -28,9 +32,11 @@ pub const MARCH_DENSITY: Kernel = Kernel {
         "types",
         "transcendental",
         "lattice",
+        "whole_density",
         "raw_density",
         "occupancy",
         "density",
+        "march",
         "march_density"
     )
 };
@@ -51,6 +57,16 @@ pub const ALL: &[Kernel] = &[
     STEP_SKY,
     BRICK_VARIATION,
     SMOOTH_BRICKS,
+    EYE_RAYS,
+    OBJECT_SAMPLES,
+    MERGE_SCENE,
+    SCENE_SLOTS,
+    MARCH_DENSITY_SPLIT,
+    MERGE_SCENE_SPLIT,
+    SCENE_FEATURES,
+    SCENE_NETWORK,
+    SCENE_COLORS,
+    SCENE_SKY,
 ];
 
 pub(crate) const fn bind<T>(name: &'static str, access: Access) -> Binding {

@@ -95,7 +95,9 @@ pub struct MarchParams {
     pub sample_capacity: u32,
     /// Workgroups along x of the dispatch.
     pub groups_x: u32,
-    pub padding: [u32; 2],
+    /// First ray of the dispatch.
+    pub first_ray: u32,
+    pub padding: u32,
 }
 
 /// Parameters of a training step's kernels for one batch of its rays.

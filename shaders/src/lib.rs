@@ -1,10 +1,12 @@
 //! WGSL compute kernels of Backlot and what a host must know to run them. Knows no GPU API.
 //!
 //! `wgsl/` holds libraries (functions only) and one file per entry point. [`kernels`] lists the entry points with their
-//! bindings, [`layout`] mirrors the structs. Both are compared with what naga reads from the WGSL, so neither can drift;
+//! bindings, [`layout`] and [`scene_layout`] mirror the structs. Both are compared with what naga reads from the WGSL, so neither can drift;
 //! constants that host and kernel share are pipeline overrides filled from here, so there is no second copy of them.
 
 pub mod layout;
+
+pub mod scene_layout;
 
 mod kernel;
 
@@ -12,10 +14,15 @@ pub mod kernels;
 
 mod training;
 
+mod scene;
+
 pub use kernel::{Access, Binding, Kernel};
 
 /// Nodes along one edge of a brick.
 pub const BRICK_SIDE: u32 = 8;
+
+/// Bindings over which densities can be split.
+pub const DENSITY_PARTS: usize = 4;
 
 /// Values of a 4x4 block of network weights.
 pub const BLOCK_FLOATS: usize = 16;

@@ -10,10 +10,16 @@ use backlot_shaders::layout::{
     TrainParams,
 };
 
+use backlot_shaders::scene_layout::{
+    EyeParams, ObjectBox, PartParams, RayHit, RayPairs, RayRequest, SampleList, SceneParams,
+    SlotRange, Weighted,
+};
+
 /// Structs that never leave a kernel, so they have no mirror.
-const INTERNAL: [&str; 9] = [
+const INTERNAL: [&str; 11] = [
     "Corners",
     "Features",
+    "Light",
     "Loss",
     "RawDensity",
     "SkyTexels",
@@ -21,6 +27,7 @@ const INTERNAL: [&str; 9] = [
     "Space",
     "TileRow",
     "Totals",
+    "Walk",
 ];
 /// What naga declares for compare-and-exchange.
 const PREDECLARED: &str = "__atomic_compare_exchange_result";
@@ -57,7 +64,7 @@ fn mirrors() -> BTreeMap<String, Layout> {
         mirror!(RaySample { t, dt, sigma }),
         mirror!(MarchParams {
             low_m, base_voxel_m, high_m, act_shift, occupancy_origin_m, cell_m, blocks, level_count,
-            step_growth, sigma_min, nudge_m, ray_count, sample_capacity, groups_x
+            step_growth, sigma_min, nudge_m, ray_count, sample_capacity, groups_x, first_ray
         } padded by padding),
         mirror!(TrainParams {
             base_voxel_m,
@@ -127,6 +134,37 @@ fn mirrors() -> BTreeMap<String, Layout> {
             weight_blocks,
             first_block,
             first_bias
+        }),
+        mirror!(EyeParams {
+            right, focal_x_px, down, focal_y_px, forward, principal_x_px, origin_m, principal_y_px, k, k3,
+            distortion, stop_tau, first_ray, ray_count, groups_x
+        } padded by padding),
+        mirror!(RayRequest { x, y, sub, side }),
+        mirror!(SceneParams {
+            tone_gain, lowest_m, tone_offset, min_weight, first, count, groups_x, capacity, ray_capacity,
+            slot_capacity, sky_grid_count, object, stop_tau, stop_tau_through_object, half_tau
+        } padded by padding),
+        mirror!(ObjectBox { half_m, floor_m }),
+        mirror!(RayPairs { start, count }),
+        mirror!(SampleList {
+            count,
+            cursor,
+            object,
+            total_weight,
+            alone
+        }),
+        mirror!(Weighted { t, weight }),
+        mirror!(RayHit {
+            transmittance,
+            half_t,
+            background_half_t,
+            z_per_m
+        }),
+        mirror!(SlotRange { first, count }),
+        mirror!(PartParams {
+            level_count,
+            first_node,
+            node_count
         }),
     ])
 }

@@ -19,11 +19,7 @@ fn every_kernel_is_valid_and_as_the_table_says() {
             .iter()
             .map(|e| e.name.as_str())
             .collect();
-        assert_eq!(
-            entries,
-            [kernel.name],
-            "one entry point a kernel, of its name"
-        );
+        assert_eq!(entries, [kernel.entry], "one entry point a kernel");
         let overrides: BTreeSet<_> = module
             .overrides
             .iter()

@@ -14,7 +14,7 @@ fn raw_density(point: vec3<f32>) -> RawDensity {
         if corners.stored {
             var raw = 0.0;
             for (var corner = 0u; corner < 8u; corner++) {
-                raw += density[corners.nodes[corner]] * corners.weights[corner];
+                raw += node_density(corners.nodes[corner]) * corners.weights[corner];
             }
             sum.raw += raw;
             sum.stored = true;

@@ -43,7 +43,7 @@ fn forward(c: &mut Criterion<CpuTime>) {
         .sample_size(10)
         .throughput(Throughput::Elements(RAYS as u64));
     group.bench_function("cpu, rays", |b| b.iter(|| render_rays(&field, &plain)));
-    let gpu = GpuBackend::open(&adapter()).expect("an adapter");
+    let gpu = GpuBackend::open(&adapter(), 1 << 30).expect("an adapter");
     eprintln!("gpu: {}", gpu.device());
     let mut trainer = gpu.open_trainer(field).expect("the field fits");
     group.bench_function("gpu, rays", |b| {
@@ -68,7 +68,7 @@ fn step(c: &mut Criterion<CpuTime>) {
         b.iter(|| fastest.step(&rays, &LOSSES, RATES).colored);
     });
     drop(fastest);
-    let gpu = GpuBackend::open(&adapter()).expect("an adapter");
+    let gpu = GpuBackend::open(&adapter(), 1 << 30).expect("an adapter");
     let mut trainer = gpu.open_trainer(field(WIDTH)).expect("the field fits");
     group.bench_function("gpu, rays", |b| {
         b.iter(|| {

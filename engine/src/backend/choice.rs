@@ -126,8 +126,8 @@ pub fn open(choice: &DeviceChoice, memory_bytes: u64) -> Result<Arc<dyn Backend>
 
 #[cfg(feature = "gpu")]
 fn open_gpu(adapter: &AdapterChoice, memory_bytes: u64) -> Result<Arc<dyn Backend>> {
-    let _ = memory_bytes;
-    Ok(Arc::new(super::gpu::DurableGpu::open(adapter)?))
+    let gpu = super::gpu::DurableGpu::open(adapter, memory_bytes)?;
+    Ok(Arc::new(gpu))
 }
 
 #[cfg(not(feature = "gpu"))]

@@ -100,9 +100,16 @@ pub use recorded::{InstanceMask, RecordedImage, needs_recorded};
 pub use recording::{RecordedCamera, RecordedFrame, RecordedTrack, Recording};
 pub use region_builder::RegionConfig;
 pub use rejection::Rejection;
+#[cfg(feature = "gpu")]
+pub(crate) use render::{Prepared, assemble};
 pub use render::{RenderOptions, Scene, SceneObject, StaticObject, render};
 pub use rle::{column_runs, mask_of_runs};
 pub use shadow::{Caster, cast_shadows, shadow_casters};
+#[cfg(feature = "gpu")]
+pub(crate) use tile::{
+    EyeRay, HALF, MIN_WEIGHT, Pixel, STOP_TAU, STOP_TAU_THROUGH_OBJECT, TileResult, crosses, holds,
+    owner, touches,
+};
 pub use timeline::{Clip, MAX_CLIP_FRAMES};
 pub use tone::{Tone, match_tones};
 pub use trajectory::{MAX_WAYPOINTS, Trajectory, Waypoint};

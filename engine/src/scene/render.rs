@@ -9,7 +9,7 @@ use rayon::prelude::*;
 use super::composition::{Composition, Origin};
 use super::frame::RenderedFrame;
 use super::projection::{PixelBox, box_of_corners};
-use super::tile::{TILE_PX, TileRenderer, TileResult};
+use super::tile::{EyeRay, TILE_PX, TileRenderer, TileResult};
 use super::tone::Tone;
 use crate::camera::{Camera, Rigid};
 use crate::field::Field;
@@ -126,9 +126,7 @@ pub fn render(
     options: &RenderOptions,
     cancelled: &(dyn Fn() -> bool + Sync),
 ) -> Result<RenderedFrame> {
-    scene.camera.validate("scene camera")?;
-    check_poses(scene)?;
-    let prepared = Prepared::new(scene, options);
+    let prepared = Prepared::checked(scene, options)?;
     let (width, height) = (scene.camera.width, scene.camera.height);
     let (columns, rows) = (width.div_ceil(TILE_PX), height.div_ceil(TILE_PX));
     let stop = AtomicBool::new(false);
@@ -166,36 +164,69 @@ fn check_poses(scene: &Scene<'_>) -> Result<()> {
 }
 
 /// A scene with what every ray needs worked out once.
-pub(super) struct Prepared<'a> {
+pub(crate) struct Prepared<'a> {
     pub(crate) background: Option<&'a Arc<Field>>,
     /// Nearest first, so that the caller's order cannot matter.
-    pub(super) objects: Vec<PreparedObject<'a>>,
-    pub(super) statics: Vec<PreparedStatic>,
-    pub(super) camera: Camera,
-    pub(super) local_from_camera: Rigid,
-    pub(super) options: RenderOptions,
+    pub(crate) objects: Vec<PreparedObject<'a>>,
+    pub(crate) statics: Vec<PreparedStatic>,
+    pub(crate) camera: Camera,
+    pub(crate) local_from_camera: Rigid,
+    pub(crate) options: RenderOptions,
     order: Vec<usize>,
 }
 
-pub(super) struct PreparedObject<'a> {
-    pub(super) instance_id: u16,
+pub(crate) struct PreparedObject<'a> {
+    pub(crate) instance_id: u16,
     pub(crate) field: &'a Arc<Field>,
-    pub(super) object_from_local: Rigid,
-    pub(super) half_m: Vec3,
-    pub(super) tone: Tone,
+    pub(crate) object_from_local: Rigid,
+    pub(crate) half_m: Vec3,
+    pub(crate) tone: Tone,
     /// Pixels that may see the field.
-    pub(super) pixels: PixelBox,
-    pub(super) supersample: u32,
+    pub(crate) pixels: PixelBox,
+    pub(crate) supersample: u32,
 }
 
-pub(super) struct PreparedStatic {
-    pub(super) instance_id: u16,
-    pub(super) object_from_local: Rigid,
-    pub(super) half_m: Vec3,
-    pub(super) pixels: PixelBox,
+pub(crate) struct PreparedStatic {
+    pub(crate) instance_id: u16,
+    pub(crate) object_from_local: Rigid,
+    pub(crate) half_m: Vec3,
+    pub(crate) pixels: PixelBox,
+}
+
+impl PreparedObject<'_> {
+    /// Nothing of an object is below its wheels; its field may have learnt a piece of road there.
+    pub(crate) fn lowest_m(&self) -> f32 {
+        const BELOW_WHEELS_M: f32 = 0.02;
+        -self.half_m.z - BELOW_WHEELS_M
+    }
+
+    /// Background above this is haze in the object's box; below, it is the ground it stands on.
+    pub(crate) fn floor_m(&self) -> f32 {
+        const GROUND_KEPT_M: f32 = 0.05;
+        -self.half_m.z + GROUND_KEPT_M
+    }
 }
 
 impl<'a> Prepared<'a> {
+    /// # Errors
+    /// [`Error::Invalid`] for a bad camera or pose.
+    pub(crate) fn checked(scene: &Scene<'a>, options: &RenderOptions) -> Result<Self> {
+        scene.camera.validate("scene camera")?;
+        check_poses(scene)?;
+        Ok(Self::new(scene, options))
+    }
+
+    /// The ray through a continuous pixel position.
+    pub(crate) fn eye_ray(&self, pixel: DVec2) -> EyeRay {
+        let d_camera = self.camera.direction(pixel);
+        let pose = &self.local_from_camera;
+        EyeRay {
+            origin: pose.translation_m.as_vec3(),
+            direction: pose.direction(d_camera).as_vec3().normalize(),
+            z_per_m: d_camera.z as f32,
+        }
+    }
+
     fn new(scene: &Scene<'a>, options: &RenderOptions) -> Self {
         let camera_from_local = scene.local_from_camera.inverse();
         let distance = |i: &usize| {
@@ -286,7 +317,8 @@ fn pixels_of(camera: &Camera, camera_from_box: &Rigid, low: DVec3, high: DVec3) 
         .unwrap_or(nothing)
 }
 
-fn assemble(prepared: &Prepared<'_>, tiles: Vec<TileResult>) -> RenderedFrame {
+/// Puts rendered tiles together.
+pub(crate) fn assemble(prepared: &Prepared<'_>, tiles: Vec<TileResult>) -> RenderedFrame {
     let (width, height) = (prepared.camera.width, prepared.camera.height);
     let mut frame = RenderedFrame::empty(width, height);
     let mut alone = vec![0u32; prepared.objects.len() + prepared.statics.len()];

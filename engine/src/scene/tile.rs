@@ -11,49 +11,45 @@ use super::tone::Tone;
 use crate::field::{ColorScratch, Ray, RaySample};
 
 /// Side of a tile: large enough to fill colour batches, small enough to spread over threads.
-pub(super) const TILE_PX: u32 = 32;
+pub(crate) const TILE_PX: u32 = 32;
 /// March until less than a thousandth of the light is left.
-const STOP_TAU: f32 = 7.0;
+pub(crate) const STOP_TAU: f32 = 7.0;
 /// Where an object's box suppresses background haze, marching must not have ended in that haze.
-const STOP_TAU_THROUGH_OBJECT: f32 = 40.0;
+pub(crate) const STOP_TAU_THROUGH_OBJECT: f32 = 40.0;
 /// Samples of less weight get no colour of their own; the rest of the ray is scaled up for them.
-const MIN_WEIGHT: f32 = 1e-3;
-/// Background above an object's bottom plane by more than this is haze in its box; below, it is the ground it stands on.
-const GROUND_KEPT_M: f32 = 0.05;
-/// Nothing of an object is below its wheels; its field may have learnt a piece of road there.
-const BELOW_WHEELS_M: f32 = 0.02;
+pub(crate) const MIN_WEIGHT: f32 = 1e-3;
 /// The lowest part of a static object's cuboid is road.
 const STATIC_GROUND_M: f32 = 0.2;
-const HALF: f32 = 0.5;
+pub(crate) const HALF: f32 = 0.5;
 const HALF_TAU: f32 = std::f32::consts::LN_2;
 
 /// One finished pixel.
 #[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Pixel {
+pub(crate) struct Pixel {
     /// Background and sky, weighted as composited.
-    pub(super) behind_rgb: [f32; 3],
-    pub(super) placed_rgb: [f32; 3],
-    pub(super) placed_alpha: f32,
-    pub(super) depth_z_m: f32,
-    pub(super) behind_z_m: f32,
-    pub(super) instance: u16,
-    pub(super) accumulation: f32,
+    pub(crate) behind_rgb: [f32; 3],
+    pub(crate) placed_rgb: [f32; 3],
+    pub(crate) placed_alpha: f32,
+    pub(crate) depth_z_m: f32,
+    pub(crate) behind_z_m: f32,
+    pub(crate) instance: u16,
+    pub(crate) accumulation: f32,
 }
 
 #[derive(Default)]
-pub(super) struct TileResult {
-    pub(super) x: u32,
-    pub(super) y: u32,
-    pub(super) width: u32,
-    pub(super) pixels: Vec<Pixel>,
+pub(crate) struct TileResult {
+    pub(crate) x: u32,
+    pub(crate) y: u32,
+    pub(crate) width: u32,
+    pub(crate) pixels: Vec<Pixel>,
     /// Objects, then statics.
-    pub(super) alone_px: Vec<u32>,
+    pub(crate) alone_px: Vec<u32>,
     /// Pixels by (hidden object, instance that owns the pixel).
-    pub(super) hidden_px: BTreeMap<(u16, u16), u32>,
+    pub(crate) hidden_px: BTreeMap<(u16, u16), u32>,
 }
 
 impl TileResult {
-    fn count_alone(&mut self, slot: usize, instance: u16, owner: u16) {
+    pub(crate) fn count_alone(&mut self, slot: usize, instance: u16, owner: u16) {
         self.alone_px[slot] += 1;
         if owner != instance {
             *self.hidden_px.entry((instance, owner)).or_default() += 1;
@@ -63,11 +59,11 @@ impl TileResult {
 
 /// A camera ray in the background's frame.
 #[derive(Clone, Copy)]
-struct EyeRay {
-    origin: Vec3,
-    direction: Vec3,
+pub(crate) struct EyeRay {
+    pub(crate) origin: Vec3,
+    pub(crate) direction: Vec3,
     /// Camera z per metre along the ray.
-    z_per_m: f32,
+    pub(crate) z_per_m: f32,
 }
 
 /// Samples waiting for their colours, all of one field.
@@ -156,7 +152,7 @@ impl<'a> TileRenderer<'a> {
         let mut first: Option<(EyeRay, Hit)> = None;
         let pixel = &mut tile.pixels[index as usize];
         for sub in 0..side * side {
-            let ray = self.eye_ray(corner + sub_pixel(sub, side));
+            let ray = self.scene.eye_ray(corner + sub_pixel(sub, side));
             let hit = self.trace(ray, index, share);
             let sky = scene.background.map_or([0.0; 3], |b| b.sky(ray.direction));
             for (channel, sky) in pixel.behind_rgb.iter_mut().zip(sky) {
@@ -172,7 +168,9 @@ impl<'a> TileRenderer<'a> {
         pixel.depth_z_m = hit.half_t.map_or(0.0, |t| t * ray.z_per_m);
         pixel.behind_z_m = hit.background_half_t.map_or(0.0, |t| t * ray.z_per_m);
         pixel.placed_alpha = self.placed_weight().min(1.0);
-        pixel.instance = self.owner();
+        let weights = self.active.iter();
+        pixel.instance =
+            owner(weights.map(|i| (scene.objects[*i].instance_id, self.object_weight[*i])));
         self.find_static(ray, hit, centre, index, tile);
         let owner = tile.pixels[index as usize].instance;
         for i in &self.active {
@@ -189,7 +187,7 @@ impl<'a> TileRenderer<'a> {
             let wanted = self.scene.objects[self.active[slot]].supersample;
             let meets = wanted > side
                 && (0..wanted * wanted).any(|sub| {
-                    let ray = self.eye_ray(corner + sub_pixel(sub, wanted));
+                    let ray = self.scene.eye_ray(corner + sub_pixel(sub, wanted));
                     self.sources[1 + slot].clear();
                     self.march_object(ray, slot, 0.0)
                 });
@@ -198,16 +196,6 @@ impl<'a> TileRenderer<'a> {
             }
         }
         side
-    }
-
-    fn eye_ray(&self, pixel: DVec2) -> EyeRay {
-        let d_camera = self.scene.camera.direction(pixel);
-        let pose = &self.scene.local_from_camera;
-        EyeRay {
-            origin: pose.translation_m.as_vec3(),
-            direction: pose.direction(d_camera).as_vec3().normalize(),
-            z_per_m: d_camera.z as f32,
-        }
     }
 
     /// Marches and merges one ray; queues its samples for colouring.
@@ -279,7 +267,7 @@ impl<'a> TileRenderer<'a> {
         object
             .field
             .march(origin, direction, 0.0, f32::INFINITY, STOP_TAU, samples);
-        let lowest = -object.half_m.z - BELOW_WHEELS_M;
+        let lowest = object.lowest_m();
         samples.retain(|s| origin.z + s.t * direction.z >= lowest);
         let tau: f32 = samples.iter().map(|s| s.sigma * s.dt).sum();
         self.object_alone[i] -= share * (-tau).exp_m1();
@@ -296,7 +284,7 @@ impl<'a> TileRenderer<'a> {
             let to_object = &object.object_from_local;
             let origin = to_object.point(ray.origin.as_dvec3()).as_vec3();
             let direction = to_object.direction(ray.direction.as_dvec3()).as_vec3();
-            let floor = -object.half_m.z + GROUND_KEPT_M;
+            let floor = object.floor_m();
             self.sources[0].retain(|s| {
                 let p = origin + direction * s.t;
                 let inside = p.abs().cmple(object.half_m).all();
@@ -328,18 +316,6 @@ impl<'a> TileRenderer<'a> {
 
     fn placed_weight(&self) -> f32 {
         self.active.iter().map(|i| self.object_weight[*i]).sum()
-    }
-
-    /// The object that owns the pixel: all of them carry half of its weight, this one most of theirs.
-    fn owner(&self) -> u16 {
-        if self.placed_weight() < HALF {
-            return 0;
-        }
-        let heaviest = self
-            .active
-            .iter()
-            .max_by(|a, b| self.object_weight[**a].total_cmp(&self.object_weight[**b]));
-        heaviest.map_or(0, |i| self.scene.objects[*i].instance_id)
     }
 
     /// Marks the pixel of a static object whose cuboid holds its surface, and counts the pixels it would have alone.
@@ -374,13 +350,7 @@ impl<'a> TileRenderer<'a> {
         let Some(background) = self.scene.background else {
             return false;
         };
-        let to_object = &object.object_from_local;
-        let local = Ray {
-            origin: to_object.point(ray.origin.as_dvec3()).as_vec3(),
-            direction: to_object.direction(ray.direction.as_dvec3()).as_vec3(),
-        };
-        let low = (-object.half_m).with_z(-object.half_m.z + STATIC_GROUND_M);
-        let Some((enter, leave)) = local.cross_box(low, object.half_m) else {
+        let Some((enter, leave)) = crosses(object, ray) else {
             return false;
         };
         let samples = &mut self.sources[0];
@@ -432,12 +402,35 @@ fn sub_pixel(sub: u32, side: u32) -> DVec2 {
     offset / f64::from(side)
 }
 
-fn touches(pixels: &PixelBox, centre: DVec2) -> bool {
+/// The object that owns a pixel, of all that may be seen in it with their weights: all of them carry half of the pixel's weight, this
+/// one most of theirs.
+pub(crate) fn owner(weights: impl Iterator<Item = (u16, f32)> + Clone) -> u16 {
+    let placed: f32 = weights.clone().map(|(_, weight)| weight).sum();
+    if placed < HALF {
+        return 0;
+    }
+    let heaviest = weights.max_by(|a, b| a.1.total_cmp(&b.1));
+    heaviest.map_or(0, |(instance, _)| instance)
+}
+
+pub(crate) fn touches(pixels: &PixelBox, centre: DVec2) -> bool {
     // One pixel of slack: sub-rays leave the centre.
     centre.cmpge(pixels.min - 1.0).all() && centre.cmple(pixels.max + 1.0).all()
 }
 
-fn holds(object: &PreparedStatic, ray: EyeRay, t: f32) -> bool {
+/// Where a ray is inside a static object's cuboid, road left out.
+pub(crate) fn crosses(object: &PreparedStatic, ray: EyeRay) -> Option<(f32, f32)> {
+    let to_object = &object.object_from_local;
+    let local = Ray {
+        origin: to_object.point(ray.origin.as_dvec3()).as_vec3(),
+        direction: to_object.direction(ray.direction.as_dvec3()).as_vec3(),
+    };
+    let low = (-object.half_m).with_z(-object.half_m.z + STATIC_GROUND_M);
+    local.cross_box(low, object.half_m)
+}
+
+/// Whether the place at distance `t` is in a static object's cuboid, road left out.
+pub(crate) fn holds(object: &PreparedStatic, ray: EyeRay, t: f32) -> bool {
     let p = (ray.origin + ray.direction * t).as_dvec3();
     let p = object.object_from_local.point(p).as_vec3();
     p.abs().cmple(object.half_m).all() && p.z > -object.half_m.z + STATIC_GROUND_M

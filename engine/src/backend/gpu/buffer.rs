@@ -14,6 +14,7 @@ pub(super) struct Buffer<T> {
     pub(super) raw: wgpu::Buffer,
     label: &'static str,
     len: usize,
+    usage: wgpu::BufferUsages,
     element: PhantomData<T>,
 }
 
@@ -65,6 +66,7 @@ impl<T: NoUninit + AnyBitPattern> Buffer<T> {
             raw,
             label,
             len,
+            usage,
             element: PhantomData,
         })
     }
@@ -72,6 +74,21 @@ impl<T: NoUninit + AnyBitPattern> Buffer<T> {
     /// Values it holds.
     pub(super) fn len(&self) -> usize {
         self.len
+    }
+
+    /// Makes room for `len` values. Their old values are lost if there was not enough.
+    ///
+    /// # Errors
+    /// As [`Self::from_slice`].
+    pub(super) fn grow(&mut self, device: &Device, len: usize) -> Result<(), Error> {
+        if len > self.len {
+            // The old buffer goes first, so that both need not fit.
+            self.raw.destroy();
+            let most = device.max_binding_bytes() / size_of::<T>().max(1) as u64;
+            let wanted = len.next_power_of_two().min(most as usize).max(len);
+            *self = Self::zeroed(device, self.label, wanted, self.usage)?;
+        }
+        Ok(())
     }
 
     /// Size on the device.
@@ -91,6 +108,21 @@ impl<T: NoUninit + AnyBitPattern> Buffer<T> {
         device
             .queue
             .write_buffer(&self.raw, 0, bytemuck::cast_slice(values));
+    }
+
+    /// Overwrites the values from `at` on.
+    pub(super) fn write_at(&self, device: &Device, at: usize, values: &[T]) {
+        assert!(
+            at + values.len() <= self.len,
+            "{}: {} values at {at} of {}",
+            self.label,
+            values.len(),
+            self.len
+        );
+        let offset = (at * size_of::<T>()) as u64;
+        device
+            .queue
+            .write_buffer(&self.raw, offset, bytemuck::cast_slice(values));
     }
 
     /// Copies the first `len` values back to the host; waits for the device.

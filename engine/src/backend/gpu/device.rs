@@ -3,7 +3,11 @@
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
 
+use backlot_shaders::Kernel;
+
 use super::error::Error;
+use super::pipeline::{Pipeline, PipelineCache};
+use super::turns::{Gate, Priority, Turn};
 use crate::backend::{AdapterChoice, AdapterKind, AdapterRecord};
 
 /// An open device with its queue. Cloning shares it.
@@ -16,6 +20,8 @@ pub struct Device {
     /// Why the device was lost, once it is.
     lost: Arc<Mutex<Option<String>>>,
     dispatches: Arc<AtomicU64>,
+    gate: Arc<Gate>,
+    pipelines: Arc<PipelineCache>,
 }
 
 impl Device {
@@ -29,13 +35,25 @@ impl Device {
         let index = choice
             .find(&records)
             .map_err(|reason| Error::NoAdapter { reason })?;
-        Self::from_adapter(&found[index])
+        // The adapter's own limits: wgpu's defaults would cap a binding at 128 MiB on any card.
+        Self::from_adapter(&found[index], found[index].limits())
     }
 
-    fn from_adapter(adapter: &wgpu::Adapter) -> Result<Self, Error> {
+    /// Opens an adapter as if it bound no more than `binding_bytes`.
+    #[cfg(test)]
+    pub(super) fn open_narrow(choice: &AdapterChoice, binding_bytes: u64) -> Result<Self, Error> {
+        let found = enumerate();
+        let records: Vec<AdapterRecord> = found.iter().map(record).collect();
+        let index = choice
+            .find(&records)
+            .map_err(|reason| Error::NoAdapter { reason })?;
+        let mut limits = found[index].limits();
+        limits.max_storage_buffer_binding_size = binding_bytes;
+        Self::from_adapter(&found[index], limits)
+    }
+
+    fn from_adapter(adapter: &wgpu::Adapter, limits: wgpu::Limits) -> Result<Self, Error> {
         let info = adapter.get_info();
-        // The adapter's own limits: wgpu's defaults would cap a binding at 128 MiB on any card.
-        let limits = adapter.limits();
         let descriptor = wgpu::DeviceDescriptor {
             label: Some("backlot"),
             required_features: wgpu::Features::empty(),
@@ -67,6 +85,8 @@ impl Device {
             info,
             lost,
             dispatches: Arc::default(),
+            gate: Arc::default(),
+            pipelines: Arc::default(),
         })
     }
 
@@ -116,6 +136,32 @@ impl Device {
             }),
             None => Ok(value),
         }
+    }
+
+    /// A kernel compiled for this device.
+    ///
+    /// # Errors
+    /// As [`Pipeline::with`].
+    pub(super) fn pipeline(
+        &self,
+        kernel: &Kernel,
+        parameters: &[(&'static str, f64)],
+    ) -> Result<Arc<Pipeline>, Error> {
+        self.pipelines.get(self, kernel, parameters)
+    }
+
+    /// Waits until the device is the caller's for some tens of milliseconds of work.
+    pub(super) fn turn(&self, priority: Priority) -> Turn<'_> {
+        self.gate.turn(priority)
+    }
+
+    /// Hands what was written to the device, so that its staging memory is freed.
+    ///
+    /// # Errors
+    /// [`Error::Lost`].
+    pub(super) fn flush(&self) -> Result<(), Error> {
+        self.queue.submit([]);
+        self.wait()
     }
 
     pub(super) fn count_dispatch(&self) {

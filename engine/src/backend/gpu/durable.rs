@@ -13,16 +13,18 @@ use crate::{Error, Result};
 #[derive(Debug)]
 pub struct DurableGpu {
     choice: AdapterChoice,
+    memory_bytes: u64,
     current: Mutex<GpuBackend>,
 }
 
 impl DurableGpu {
     /// # Errors
     /// As [`GpuBackend::open`].
-    pub fn open(choice: &AdapterChoice) -> Result<Self, super::Error> {
+    pub fn open(choice: &AdapterChoice, memory_bytes: u64) -> Result<Self, super::Error> {
         Ok(Self {
             choice: choice.clone(),
-            current: Mutex::new(GpuBackend::open(choice)?),
+            memory_bytes,
+            current: Mutex::new(GpuBackend::open(choice, memory_bytes)?),
         })
     }
 
@@ -38,7 +40,7 @@ impl DurableGpu {
                 device = current.device(),
                 "the device was lost: opening it again"
             );
-            *current = GpuBackend::open(&self.choice)?;
+            *current = GpuBackend::open(&self.choice, self.memory_bytes)?;
         }
         Ok(current.clone())
     }

@@ -19,6 +19,12 @@ pub enum Error {
         needed_bytes: u64,
         available_bytes: u64,
     },
+    /// What is in use leaves too little of the memory that assets may take.
+    #[error("an asset needs {needed_bytes} bytes on the device, {available_bytes} are available")]
+    NoRoom {
+        needed_bytes: u64,
+        available_bytes: u64,
+    },
     /// The device has no memory left.
     #[error("out of device memory in {stage}")]
     OutOfMemory { stage: &'static str },
@@ -36,6 +42,14 @@ impl From<Error> for crate::Error {
                 available_bytes,
             } => Self::OutOfMemory {
                 what,
+                needed_bytes,
+                available_bytes,
+            },
+            Error::NoRoom {
+                needed_bytes,
+                available_bytes,
+            } => Self::OutOfMemory {
+                what: "an asset on the device",
                 needed_bytes,
                 available_bytes,
             },

@@ -1,11 +1,15 @@
 //! A field in device buffers.
 
-use backlot_shaders::layout;
+use std::sync::Arc;
+
+use backlot_shaders::{Kernel, layout};
 use wgpu::BufferUsages;
 
 use super::buffer::Buffer;
 use super::device::Device;
 use super::error::Error;
+use super::parts::Parts;
+use super::pipeline::Pipeline;
 use crate::field::march::{FACE_NUDGE, SIGMA_MIN};
 use crate::field::{BRICK_NODES, Field, Lattice, NULL_BRICK, Occupancy};
 
@@ -21,7 +25,7 @@ const _: () = assert!(
 pub(super) struct ResidentField {
     pub(super) levels: Buffer<layout::Level>,
     pub(super) brick_index: Buffer<u32>,
-    pub(super) density: Buffer<f32>,
+    pub(super) density: Parts<f32>,
     pub(super) block_index: Buffer<u32>,
     pub(super) blocks: Buffer<layout::Block>,
     /// The field's constants; the dispatch's fields are zero.
@@ -35,10 +39,13 @@ impl ResidentField {
         let occupancy = field.occupancy();
         let blocks = blocks(occupancy);
         let storage = BufferUsages::STORAGE;
+        let nodes = pyramid.density.len();
+        let density = Parts::zeroed(device, "density", nodes, backlot_shaders::DENSITY_PARTS)?;
+        density.write(device, 0, &pyramid.density);
         let resident = Self {
             levels: Buffer::from_slice(device, "levels", &pyramid.levels, storage)?,
             brick_index: Buffer::from_slice(device, "brick index", &pyramid.brick_index, storage)?,
-            density: Buffer::from_slice(device, "density", &pyramid.density, storage)?,
+            density,
             block_index: Buffer::from_slice(device, "occupancy index", occupancy.index(), storage)?,
             blocks: Buffer::from_slice(device, "occupancy blocks", &blocks, storage)?,
             params: params(field),
@@ -50,6 +57,39 @@ impl ResidentField {
             + resident.block_index.bytes()
             + resident.blocks.bytes();
         Ok(Self { bytes, ..resident })
+    }
+
+    /// The variant of a kernel that reads densities as this field has them: `whole`, or `split` over several bindings.
+    ///
+    /// # Errors
+    /// As [`Pipeline::with`].
+    pub(super) fn kernel(
+        &self,
+        device: &Device,
+        whole: &Kernel,
+        split: &Kernel,
+    ) -> Result<Arc<Pipeline>, Error> {
+        if self.density.parts().len() == 1 {
+            return device.pipeline(whole, &[]);
+        }
+        let nodes = self.density.nodes_per_part() as f64;
+        device.pipeline(split, &[("NODES_PER_PART", nodes)])
+    }
+
+    /// Where densities begin.
+    pub(super) fn first_density(&self) -> &wgpu::Buffer {
+        &self.density.parts()[0].raw
+    }
+
+    /// The buffers that a kernel of split densities binds besides; none if they are whole.
+    pub(super) fn other_densities(&self) -> Vec<&wgpu::Buffer> {
+        let parts = self.density.parts();
+        if parts.len() == 1 {
+            return Vec::new();
+        }
+        // Bindings cannot be empty; no node lies in those that repeat.
+        let part = |i: usize| &parts.get(i).unwrap_or(&parts[0]).raw;
+        (1..backlot_shaders::DENSITY_PARTS).map(part).collect()
     }
 }
 

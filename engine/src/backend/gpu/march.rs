@@ -18,34 +18,22 @@ const RAYS_PER_DISPATCH: usize = 8192;
 /// Bound on the sample buffer of one dispatch.
 const SAMPLE_BYTES_MAX: usize = 32 << 20;
 
-/// The compiled kernel.
-#[derive(Debug)]
-pub(super) struct MarchDensity {
-    pipeline: Pipeline,
-}
-
-impl MarchDensity {
-    pub(super) fn new(device: &Device) -> Result<Self, Error> {
-        let pipeline = Pipeline::new(device, &kernels::MARCH_DENSITY)?;
-        Ok(Self { pipeline })
-    }
-}
-
 /// A field on the device together with the kernel that marches it.
 #[derive(Debug)]
 pub(super) struct GpuField {
     device: Device,
-    kernel: Arc<MarchDensity>,
+    kernel: Arc<Pipeline>,
     resident: ResidentField,
 }
 
 impl GpuField {
-    pub(super) fn new(device: Device, kernel: Arc<MarchDensity>, resident: ResidentField) -> Self {
-        Self {
+    pub(super) fn new(device: Device, resident: ResidentField) -> Result<Self, Error> {
+        let kernel = march_kernel(&device, &resident)?;
+        Ok(Self {
             device,
             kernel,
             resident,
-        }
+        })
     }
 
     /// Marches `rays` in one dispatch and appends them to `marched`.
@@ -56,7 +44,7 @@ impl GpuField {
         marched: &mut Marched,
     ) -> crate::Result<()> {
         let device = &self.device;
-        let groups = self.kernel.pipeline.groups(device, rays.len() as u32);
+        let groups = self.kernel.groups(device, rays.len() as u32);
         let params = layout::MarchParams {
             ray_count: rays.len() as u32,
             sample_capacity: buffers.samples_per_ray,
@@ -67,21 +55,14 @@ impl GpuField {
         buffers.params.write(device, &[params]);
         buffers.rays.write(device, &device_rays);
         let resident = &self.resident;
-        self.kernel.pipeline.dispatch(
-            device,
-            groups,
-            &[
-                &buffers.params.raw,
-                &resident.levels.raw,
-                &resident.brick_index.raw,
-                &resident.density.raw,
-                &resident.block_index.raw,
-                &resident.blocks.raw,
-                &buffers.rays.raw,
-                &buffers.summaries.raw,
-                &buffers.samples.raw,
-            ],
-        )?;
+        let buffers_of_call = [
+            &buffers.params.raw,
+            &buffers.rays.raw,
+            &buffers.summaries.raw,
+            &buffers.samples.raw,
+        ];
+        let bound = march_buffers(resident, buffers_of_call);
+        self.kernel.dispatch(device, groups, &bound)?;
         let stride = buffers.samples_per_ray as usize;
         let summaries = buffers.summaries.read(device, rays.len())?;
         let samples: Vec<RaySample> = buffers
@@ -95,6 +76,35 @@ impl GpuField {
         }
         Ok(())
     }
+}
+
+/// `march_density` as a field's densities need it.
+pub(super) fn march_kernel(device: &Device, field: &ResidentField) -> Result<Arc<Pipeline>, Error> {
+    field.kernel(
+        device,
+        &kernels::MARCH_DENSITY,
+        &kernels::MARCH_DENSITY_SPLIT,
+    )
+}
+
+/// The kernel's buffers, given parameters, rays, summaries and samples.
+pub(super) fn march_buffers<'a>(
+    field: &'a ResidentField,
+    [params, rays, summaries, samples]: [&'a wgpu::Buffer; 4],
+) -> Vec<&'a wgpu::Buffer> {
+    let mut buffers = vec![
+        params,
+        &field.levels.raw,
+        &field.brick_index.raw,
+        field.first_density(),
+        &field.block_index.raw,
+        &field.blocks.raw,
+        rays,
+        summaries,
+        samples,
+    ];
+    buffers.extend(field.other_densities());
+    buffers
 }
 
 impl LoadedField for GpuField {
@@ -152,7 +162,7 @@ impl DispatchBuffers {
     }
 }
 
-fn to_device(MarchRay { ray, range }: &MarchRay) -> layout::Ray {
+pub(super) fn to_device(MarchRay { ray, range }: &MarchRay) -> layout::Ray {
     layout::Ray {
         origin_m: ray.origin.to_array(),
         t_min: range.t_min,

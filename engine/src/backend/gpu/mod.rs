@@ -10,6 +10,8 @@ mod pipeline;
 
 mod sequence;
 
+mod parts;
+
 mod field;
 
 mod march;
@@ -17,6 +19,12 @@ mod march;
 mod durable;
 
 mod train;
+
+mod residency;
+
+mod turns;
+
+mod scene;
 
 #[cfg(test)]
 mod parity_tests;
@@ -31,27 +39,30 @@ use std::sync::Arc;
 use super::{AdapterChoice, Backend, LoadedField, Trainer};
 use crate::Result;
 use crate::field::Field;
-use crate::scene::{self, RenderOptions, RenderedFrame, Scene};
+use crate::scene::{RenderOptions, RenderedFrame, Scene};
 
 /// An open GPU with its compiled kernels.
 #[derive(Clone, Debug)]
 pub struct GpuBackend {
     device: Device,
-    march: Arc<march::MarchDensity>,
     train_kernels: train::KernelCache,
+    scenes: Arc<scene::SceneRenderer>,
 }
 
 impl GpuBackend {
-    /// Opens an adapter and compiles the kernels.
+    /// Opens an adapter and compiles the kernels. Assets of `memory_bytes` stay on the device between renders.
     ///
     /// # Errors
     /// [`Error::NoAdapter`] where it is not there; see [`Device::open`].
-    pub fn open(choice: &AdapterChoice) -> Result<Self, Error> {
-        let device = Device::open(choice)?;
-        let march = Arc::new(march::MarchDensity::new(&device)?);
+    pub fn open(choice: &AdapterChoice, memory_bytes: u64) -> Result<Self, Error> {
+        Self::on(Device::open(choice)?, memory_bytes)
+    }
+
+    fn on(device: Device, memory_bytes: u64) -> Result<Self, Error> {
+        let scenes = Arc::new(scene::SceneRenderer::new(&device, memory_bytes)?);
         Ok(Self {
             device,
-            march,
+            scenes,
             train_kernels: train::KernelCache::default(),
         })
     }
@@ -67,6 +78,11 @@ impl GpuBackend {
     /// [`Error::TooLarge`] or [`Error::OutOfMemory`] where it does not fit, and [`Error::Lost`].
     pub fn open_trainer(&self, field: Field) -> Result<GpuTrainer, Error> {
         GpuTrainer::new(self.device.clone(), &self.train_kernels, field)
+    }
+
+    /// Bytes of the assets that stay on the device.
+    pub fn resident_bytes(&self) -> u64 {
+        self.scenes.resident_bytes()
     }
 
     /// Kernels dispatched on this device so far.
@@ -88,9 +104,8 @@ impl Backend for GpuBackend {
         let resident = field::ResidentField::upload(&self.device, field)?;
         Ok(Box::new(march::GpuField::new(
             self.device.clone(),
-            Arc::clone(&self.march),
             resident,
-        )))
+        )?))
     }
 
     fn trainer(&self, field: Field) -> Result<Trainer> {
@@ -103,6 +118,6 @@ impl Backend for GpuBackend {
         options: &RenderOptions,
         cancelled: &(dyn Fn() -> bool + Sync),
     ) -> Result<RenderedFrame> {
-        scene::render(scene, options, cancelled)
+        self.scenes.render(&self.device, scene, options, cancelled)
     }
 }

@@ -1,5 +1,8 @@
 //! Kernels made runnable: explicit bind group layouts, pipelines, dispatches.
 
+use std::collections::HashMap;
+use std::sync::{Arc, Mutex, PoisonError};
+
 use backlot_shaders::{Access, Kernel};
 
 use super::device::Device;
@@ -11,6 +14,34 @@ pub(super) struct Pipeline {
     pipeline: wgpu::ComputePipeline,
     layout: wgpu::BindGroupLayout,
     kernel: Kernel,
+}
+
+/// Kernels that a device has compiled, by name and parameters: each is compiled once, when it is first used.
+#[derive(Debug, Default)]
+pub(super) struct PipelineCache {
+    compiled: Mutex<HashMap<(&'static str, Vec<u64>), Arc<Pipeline>>>,
+}
+
+impl PipelineCache {
+    /// # Errors
+    /// As [`Pipeline::with`].
+    pub(super) fn get(
+        &self,
+        device: &Device,
+        kernel: &Kernel,
+        parameters: &[(&'static str, f64)],
+    ) -> Result<Arc<Pipeline>, Error> {
+        let values = parameters.iter().map(|(_, value)| value.to_bits());
+        let key = (kernel.name, values.collect());
+        // A panic while compiling leaves the table as it was.
+        let mut compiled = self.compiled.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(found) = compiled.get(&key) {
+            return Ok(Arc::clone(found));
+        }
+        let pipeline = Arc::new(Pipeline::with(device, kernel, parameters)?);
+        compiled.insert(key, Arc::clone(&pipeline));
+        Ok(pipeline)
+    }
 }
 
 /// Workgroups of a dispatch over one thread an item, folded into two dimensions.
@@ -57,6 +88,15 @@ impl Pipeline {
             kernel.name,
             kernel.parameters
         );
+        let storage = kernel.bindings.iter();
+        let needed = storage.filter(|b| b.access != Access::Uniform).count();
+        let available = device.limits.max_storage_buffers_per_shader_stage as usize;
+        if needed > available {
+            return Err(Error::Rejected {
+                stage: kernel.name,
+                reason: format!("it binds {needed} buffers, the adapter binds {available}"),
+            });
+        }
         let entries: Vec<_> = (0..)
             .zip(kernel.bindings)
             .map(|(number, binding)| layout_entry(number, binding))
@@ -91,7 +131,7 @@ impl Pipeline {
                         label: Some(kernel.name),
                         layout: Some(&pipeline_layout),
                         module: &module,
-                        entry_point: Some(kernel.name),
+                        entry_point: Some(kernel.entry),
                         compilation_options: wgpu::PipelineCompilationOptions {
                             constants: &constants,
                             ..Default::default()

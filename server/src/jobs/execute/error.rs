@@ -78,6 +78,10 @@ mod tests {
             message: "disk".into(),
         });
         assert!(full.into_failure().retryable);
+        let lost = Error::Engine(backlot_engine::Error::Device {
+            what: "device lost".into(),
+        });
+        assert!(lost.into_failure().retryable, "another device may do it");
         let diverged = Error::Engine(backlot_engine::Error::Diverged {
             step: 7,
             quantity: "loss",

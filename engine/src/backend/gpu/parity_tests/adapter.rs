@@ -4,7 +4,7 @@ use std::io::Write;
 use std::sync::OnceLock;
 use std::sync::atomic::{AtomicU32, Ordering};
 
-use crate::backend::gpu::{Error, GpuBackend};
+use crate::backend::gpu::{Device, Error, GpuBackend};
 use crate::backend::{AdapterChoice, Backend};
 
 /// Runs `check` on the machine's adapter and asserts that it dispatched kernels; says so on stderr if there is no adapter.
@@ -38,10 +38,19 @@ pub(super) fn on_adapter(test: &str, check: impl FnOnce(&GpuBackend)) {
     }
 }
 
+/// Room for the tests' small fields.
+const MEMORY_BYTES: u64 = 1 << 30;
+
 /// The adapter under test on a device of its own.
 pub(super) fn open() -> Result<GpuBackend, Error> {
     // Whatever kind it is: kernels are tested on software adapters too.
-    GpuBackend::open(&AdapterChoice::Index(0))
+    GpuBackend::open(&AdapterChoice::Index(0), MEMORY_BYTES)
+}
+
+/// The adapter under test as if it bound no more than `binding_bytes`.
+pub(super) fn open_narrow(binding_bytes: u64) -> Result<GpuBackend, Error> {
+    let device = Device::open_narrow(&AdapterChoice::Index(0), binding_bytes)?;
+    GpuBackend::on(device, MEMORY_BYTES)
 }
 
 /// Opened once: tests run in parallel and a device is not free.

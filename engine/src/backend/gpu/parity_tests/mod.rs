@@ -15,3 +15,9 @@ mod stages;
 mod steps;
 
 mod runs;
+
+mod street;
+
+mod compare_frames;
+
+mod frame;

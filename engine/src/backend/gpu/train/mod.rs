@@ -35,6 +35,7 @@ use super::device::Device;
 use super::error::Error;
 use super::pipeline::Groups;
 use super::sequence::Sequence;
+use super::turns::Priority;
 use crate::field::Field;
 use crate::train::ray::{Rates, RayLosses, TrainRay};
 
@@ -289,6 +290,8 @@ impl GpuTrainer {
         rays: &[TrainRay],
         params: layout::TrainParams,
     ) -> Result<(), Error> {
+        let gate = self.device.clone();
+        let _turn = gate.turn(Priority::Training);
         self.march_rays.clear();
         self.march_rays.extend(rays.iter().map(march_ray));
         self.targets.clear();
@@ -327,6 +330,8 @@ impl GpuTrainer {
 
     /// From losses to gradients by all parameters.
     fn submit_backward(&mut self, rays: usize) -> Result<(), Error> {
+        let gate = self.device.clone();
+        let _turn = gate.turn(Priority::Training);
         let (device, kernels) = (&self.device, &self.kernels);
         let (_, batch, bindings) = self.resident();
         let per_ray = kernels.losses.groups(device, rays as u32);
@@ -347,6 +352,8 @@ impl GpuTrainer {
 
     /// Sums the step's losses and moves all parameters against their gradients.
     fn submit_update(&mut self, params: layout::TrainParams) -> Result<(), Error> {
+        let gate = self.device.clone();
+        let _turn = gate.turn(Priority::Training);
         let (device, kernels) = (&self.device, &self.kernels);
         let (lattices, _, bindings) = self.resident();
         self.step.params.write(device, &[params]);

@@ -1,0 +1,138 @@
+//! Assets on the device, kept while they fit.
+
+use std::collections::HashMap;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
+
+use super::asset::ResidentAsset;
+use crate::backend::gpu::device::Device;
+use crate::backend::gpu::error::Error;
+use crate::backend::gpu::residency::{NoRoom, Residency};
+use crate::field::Field;
+
+/// Where a field lies in memory. It is the field's alone as long as a [`Weak`] holds the place.
+type Place = usize;
+
+#[derive(Debug)]
+pub(super) struct Shelf {
+    kept: Mutex<Kept>,
+}
+
+#[derive(Debug)]
+struct Kept {
+    residency: Residency<Place>,
+    assets: HashMap<Place, (Weak<Field>, Arc<ResidentAsset>)>,
+}
+
+/// An asset in use: it stays on the device.
+#[derive(Debug)]
+pub(super) struct Pinned<'a> {
+    shelf: &'a Shelf,
+    place: Place,
+    pub(super) asset: Arc<ResidentAsset>,
+}
+
+impl Shelf {
+    pub(super) fn new(limit_bytes: u64) -> Self {
+        Self {
+            kept: Mutex::new(Kept {
+                residency: Residency::new(limit_bytes),
+                assets: HashMap::new(),
+            }),
+        }
+    }
+
+    /// Bytes of all kept assets.
+    pub(super) fn bytes(&self) -> u64 {
+        self.lock().residency.bytes()
+    }
+
+    /// A field on the device; uploads it if it is not there. Uploads go one at a time: the bus is one.
+    ///
+    /// # Errors
+    /// [`Error::NoRoom`] where it does not fit beside what is in use, and what [`ResidentAsset::upload`] fails with.
+    pub(super) fn get(&self, device: &Device, field: &Arc<Field>) -> Result<Pinned<'_>, Error> {
+        let place = Arc::as_ptr(field) as Place;
+        let mut kept = self.lock();
+        kept.drop_dead();
+        if !kept.residency.pin(place) {
+            kept.upload(device, field, place)?;
+        }
+        let asset = Arc::clone(&kept.assets[&place].1);
+        Ok(Pinned {
+            shelf: self,
+            place,
+            asset,
+        })
+    }
+
+    fn lock(&self) -> MutexGuard<'_, Kept> {
+        // A panic leaves at worst an entry without its asset, which `get` would find missing: everything goes then.
+        self.kept.lock().unwrap_or_else(|poisoned| {
+            self.kept.clear_poison();
+            let mut kept = PoisonError::into_inner(poisoned);
+            kept.drop_unpinned();
+            kept
+        })
+    }
+}
+
+impl Kept {
+    fn upload(&mut self, device: &Device, field: &Arc<Field>, place: Place) -> Result<(), Error> {
+        let bytes = ResidentAsset::bytes_of(field);
+        let gone = self.residency.admit(place, bytes);
+        let gone = gone.map_err(
+            |NoRoom {
+                 needed_bytes,
+                 available_bytes,
+             }| Error::NoRoom {
+                needed_bytes,
+                available_bytes,
+            },
+        )?;
+        for place in gone {
+            self.assets.remove(&place);
+        }
+        let mut uploaded = ResidentAsset::upload(device, field);
+        if matches!(uploaded, Err(Error::OutOfMemory { .. })) {
+            // The card has less than the limit, or others use it: nothing but what is in use stays.
+            self.drop_unpinned();
+            uploaded = ResidentAsset::upload(device, field);
+        }
+        match uploaded {
+            Ok(asset) => {
+                let asset = (Arc::downgrade(field), Arc::new(asset));
+                self.assets.insert(place, asset);
+                Ok(())
+            }
+            Err(error) => {
+                self.residency.unpin(place);
+                self.residency.remove(place);
+                Err(error)
+            }
+        }
+    }
+
+    /// Frees what nobody can ask for any more.
+    fn drop_dead(&mut self) {
+        let dead = self.assets.iter();
+        let dead = dead.filter(|(_, (field, _))| field.strong_count() == 0);
+        let dead: Vec<Place> = dead.map(|(place, _)| *place).collect();
+        for place in dead {
+            if self.residency.remove(place) {
+                self.assets.remove(&place);
+            }
+        }
+    }
+
+    fn drop_unpinned(&mut self) {
+        for place in self.residency.remove_unpinned() {
+            self.assets.remove(&place);
+        }
+    }
+}
+
+impl Drop for Pinned<'_> {
+    fn drop(&mut self) {
+        self.shelf.lock().residency.unpin(self.place);
+    }
+}
