@@ -98,11 +98,10 @@ fn to_f16_bytes(values: &[f32]) -> Vec<u8> {
 fn level_tensors(l: usize, level: &Lattice, visible: &[NodeBits]) -> [Tensor; 4] {
     let mut positions: Vec<[u16; 3]> = Vec::new();
     let (mut density, mut features, mut scales) = (Vec::new(), Vec::new(), Vec::new());
-    for brick in 1..level.brick_count() {
+    for (brick, seen) in visible.iter().enumerate().skip(1) {
         let nodes = brick * BRICK_NODES..(brick + 1) * BRICK_NODES;
         let raw = density_steps(&level.density()[nodes.clone()]);
-        let (color, scale) =
-            feature_steps(&visible_features(&level.features()[nodes], &visible[brick]));
+        let (color, scale) = feature_steps(&visible_features(&level.features()[nodes], seen));
         if raw.iter().all(|x| *x == 0) && color.as_flattened().iter().all(|x| *x == 0) {
             continue;
         }

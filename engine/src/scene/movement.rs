@@ -72,7 +72,7 @@ impl<'a> ClipSpace<'a> {
         let mut poses = vec![Some(start)];
         for instant in &self.instants[1..] {
             poses.push(match course {
-                Course::Straight { speed_mps } if speed_mps == 0.0 => Some(start),
+                Course::Straight { speed_mps: 0.0 } => Some(start),
                 Course::Straight { speed_mps } => {
                     let heading = start.heading_rad();
                     let (sin, cos) = libm::sincos(heading);
@@ -237,8 +237,8 @@ impl<'a> ClipSpace<'a> {
         slot: Option<usize>,
         first: usize,
     ) -> Result<(), Rejection> {
-        for i in first..poses.len() {
-            let Some(pose) = poses[i] else { continue };
+        for (i, pose) in poses.iter().enumerate().skip(first) {
+            let Some(pose) = *pose else { continue };
             let occupied = Occupied {
                 local_from_cuboid: pose,
                 size_m: object.size_m,
