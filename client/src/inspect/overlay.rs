@@ -11,7 +11,7 @@ use image::{Rgb, RgbImage};
 use super::report::camera_from_world;
 use crate::geometry::{camera_from_wire, rigid_from_wire, vector_from_wire};
 use crate::motion::{ego_pose_at, track_pose_at};
-use crate::picture::{draw_cuboid, draw_text};
+use crate::picture::{GLYPH_HEIGHT, draw_cuboid, draw_text};
 use crate::read_log::ReadLog;
 
 /// Colours run from red at the first to blue at the second distance.
@@ -20,6 +20,8 @@ const FAR_M: f64 = 60.0;
 /// Images wider than this have returns of two pixels.
 const WIDE_PX: u32 = 1000;
 const INK: Rgb<u8> = Rgb([255, 255, 255]);
+const STRIP: Rgb<u8> = Rgb([24, 24, 28]);
+const CAPTION_MARGIN_PX: u32 = 4;
 
 /// Up to `count` frames of each camera, evenly spaced from the first to the last.
 pub fn overlay_frames(log: &v1::DriveLog, count: usize) -> Vec<&v1::CameraFrame> {
@@ -73,9 +75,27 @@ pub fn overlay(log: &ReadLog, frame: &v1::CameraFrame) -> io::Result<RgbImage> {
         &camera,
         &camera_from_world,
     );
-    let scale = if camera.width > WIDE_PX { 3 } else { 2 };
-    draw_text(&mut image, 4, 4, scale, INK, &caption);
+    draw_caption(&mut image, &caption);
     Ok(image)
+}
+
+/// A line of text on a dark strip along the top: skies are white.
+fn draw_caption(image: &mut RgbImage, caption: &str) {
+    let scale = if image.width() > WIDE_PX { 3 } else { 2 };
+    let strip_px = (GLYPH_HEIGHT * scale + 2 * CAPTION_MARGIN_PX).min(image.height());
+    for y in 0..strip_px {
+        for x in 0..image.width() {
+            image.put_pixel(x, y, STRIP);
+        }
+    }
+    draw_text(
+        image,
+        CAPTION_MARGIN_PX,
+        CAPTION_MARGIN_PX,
+        scale,
+        INK,
+        caption,
+    );
 }
 
 fn nearest_sweeps(log: &v1::DriveLog, timestamp_ns: i64) -> Vec<&v1::LidarSweep> {
@@ -166,14 +186,15 @@ fn draw_tracks(
     }
 }
 
+/// Colours that no return has.
 fn class_color(class: v1::ObjectClass) -> Rgb<u8> {
     match class {
-        v1::ObjectClass::Car | v1::ObjectClass::Van => Rgb([60, 255, 90]),
+        v1::ObjectClass::Car | v1::ObjectClass::Van => Rgb([255, 60, 230]),
         v1::ObjectClass::Truck | v1::ObjectClass::Bus | v1::ObjectClass::Tram => {
-            Rgb([255, 170, 30])
+            Rgb([255, 255, 255])
         }
-        v1::ObjectClass::Pedestrian | v1::ObjectClass::Cyclist => Rgb([255, 90, 220]),
-        v1::ObjectClass::Other | v1::ObjectClass::Unspecified => Rgb([235, 235, 235]),
+        v1::ObjectClass::Pedestrian | v1::ObjectClass::Cyclist => Rgb([190, 110, 255]),
+        v1::ObjectClass::Other | v1::ObjectClass::Unspecified => Rgb([170, 170, 170]),
     }
 }
 
