@@ -170,8 +170,11 @@ pub(crate) fn corners_px(
         .collect()
 }
 
+/// Makes a log a little wrong.
+type Flaw = fn(&mut v1::DriveLog);
+
 /// Logs that differ from the right one by little more than what is allowed: each must be told apart.
-pub(crate) const FLAWS: [(&str, fn(&mut v1::DriveLog)); 7] = [
+pub(crate) const FLAWS: [(&str, Flaw); 7] = [
     ("ego 2 mm off", |log| {
         for pose in &mut log.world_from_ego {
             shift(&mut pose.pose, DVec3::new(0.0, 2e-3, 0.0));
