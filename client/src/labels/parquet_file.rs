@@ -128,7 +128,7 @@ fn put_present<T: DataType>(
     column: SerializedColumnWriter<'_>,
     values: &[Option<T::T>],
 ) -> Result<()> {
-    let present: Vec<T::T> = values.iter().cloned().flatten().collect();
+    let present: Vec<T::T> = values.iter().flatten().cloned().collect();
     let defined: Vec<i16> = values.iter().map(|v| i16::from(v.is_some())).collect();
     put::<T>(column, &present, Some(&defined), None)
 }
