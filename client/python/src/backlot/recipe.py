@@ -95,7 +95,9 @@ class Recipe:
         fields["clip"] = None if self.clip is None else self.clip.to_proto()
         fields["preset"] = samples_pb2.PlacementPreset.Value(f"PLACEMENT_PRESET_{self.preset}")
         fields["classes"] = [_class(name) for name in self.classes]
-        fields["class_shares"] = [samples_pb2.ClassShare(object_class=_class(name), weight=weight) for name, weight in self.class_shares]
+        fields["class_shares"] = [
+            samples_pb2.ClassShare(object_class=_class(name), weight=weight) for name, weight in self.class_shares
+        ]
         for name in ("heading_histogram", "distance_histogram"):
             weights = fields.pop(name)
             if weights:
