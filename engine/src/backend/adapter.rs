@@ -47,8 +47,15 @@ pub struct AdapterRecord {
 
 /// The adapters of this machine, best kind first: their positions are the numbers that `gpu:N` means. Empty in a build without GPUs.
 pub fn adapters() -> Vec<AdapterRecord> {
-    #[cfg(feature = "gpu")]
-    return super::gpu::adapters();
-    #[cfg(not(feature = "gpu"))]
+    found()
+}
+
+#[cfg(feature = "gpu")]
+fn found() -> Vec<AdapterRecord> {
+    super::gpu::adapters()
+}
+
+#[cfg(not(feature = "gpu"))]
+fn found() -> Vec<AdapterRecord> {
     Vec::new()
 }

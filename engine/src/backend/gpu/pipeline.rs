@@ -19,8 +19,11 @@ pub(super) struct Pipeline {
 /// Kernels that a device has compiled, by name and parameters: each is compiled once, when it is first used.
 #[derive(Debug, Default)]
 pub(super) struct PipelineCache {
-    compiled: Mutex<HashMap<(&'static str, Vec<u64>), Arc<Pipeline>>>,
+    compiled: Mutex<HashMap<Key, Arc<Pipeline>>>,
 }
+
+/// A kernel's name and the bits of its parameters.
+type Key = (&'static str, Vec<u64>);
 
 impl PipelineCache {
     /// # Errors

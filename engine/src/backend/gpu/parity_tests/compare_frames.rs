@@ -86,8 +86,7 @@ pub(super) fn compare(
         ("weight of the objects", found.mean_alpha, WEIGHT),
     ];
     for (what, value, bound) in within {
-        // Written so that NaN is refused.
-        if !(value < bound) {
+        if value.is_nan() || value >= bound {
             return Err(format!("{what}: {value} is not below {bound}; {found:?}"));
         }
     }
