@@ -85,6 +85,30 @@ pub const NETWORK_FORWARD: Kernel = Kernel {
     )
 };
 
+/// [`NETWORK_FORWARD`] with four samples a thread.
+pub const NETWORK_FORWARD_FOUR: Kernel = Kernel {
+    bindings: &[
+        bind_array::<Block>("layer_1", LAYER_1_BLOCKS),
+        bind_array::<Block>("layer_2", LAYER_2_BLOCKS),
+        bind_array::<Block>("layer_3", LAYER_3_BLOCKS),
+        bind::<u32>("counters", Access::Read),
+        bind::<Quad>("slot_inputs", Access::Read),
+        bind::<Quad>("hidden_a", Access::ReadWrite),
+        bind::<Quad>("hidden_b", Access::ReadWrite),
+        bind::<Quad>("slot_colors", Access::ReadWrite),
+    ],
+    workgroup_size: 32,
+    parameters: &["WIDTH_BLOCKS"],
+    ..kernel_of!(
+        "network_forward_four",
+        "types",
+        "transcendental",
+        "network_four",
+        "training",
+        "network_forward_four"
+    )
+};
+
 /// Losses of every ray and their gradients by colours, densities, sky and exposures; one thread a ray.
 pub const RAY_LOSSES: Kernel = Kernel {
     bindings: &[
@@ -143,6 +167,33 @@ pub const NETWORK_BACKWARD: Kernel = Kernel {
         "network",
         "training",
         "network_backward"
+    )
+};
+
+/// [`NETWORK_BACKWARD`] with four samples a thread.
+pub const NETWORK_BACKWARD_FOUR: Kernel = Kernel {
+    bindings: &[
+        bind_array::<Block>("layer_1", LAYER_1_BLOCKS),
+        bind_array::<Block>("layer_2", LAYER_2_BLOCKS),
+        bind_array::<Block>("layer_3", LAYER_3_BLOCKS),
+        bind::<u32>("counters", Access::Read),
+        bind::<Quad>("hidden_a", Access::Read),
+        bind::<Quad>("hidden_b", Access::Read),
+        bind::<Quad>("slot_colors", Access::Read),
+        bind::<Quad>("slot_color_gradients", Access::ReadWrite),
+        bind::<Quad>("gradients_a", Access::ReadWrite),
+        bind::<Quad>("gradients_b", Access::ReadWrite),
+        bind::<Quad>("slot_gradients", Access::ReadWrite),
+    ],
+    workgroup_size: 32,
+    parameters: &["WIDTH_BLOCKS"],
+    ..kernel_of!(
+        "network_backward_four",
+        "types",
+        "transcendental",
+        "network_four",
+        "training",
+        "network_backward_four"
     )
 };
 

@@ -18,6 +18,8 @@ use cpu_time::CpuTime;
 
 const RAYS: usize = 2048;
 const WIDTH: usize = 128;
+/// Samples a thread of the colour network.
+const VARIANTS: [(&str, bool); 2] = [("1 sample a thread", false), ("4 samples a thread", true)];
 const RATES: Rates = Rates {
     density: 0.0,
     features: 0.0,
@@ -45,10 +47,13 @@ fn forward(c: &mut Criterion<CpuTime>) {
     group.bench_function("cpu, rays", |b| b.iter(|| render_rays(&field, &plain)));
     let gpu = GpuBackend::open(&adapter(), 1 << 30).expect("an adapter");
     eprintln!("gpu: {}", gpu.device());
-    let mut trainer = gpu.open_trainer(field).expect("the field fits");
-    group.bench_function("gpu, rays", |b| {
-        b.iter(|| trainer.forward(&rays, &LOSSES).expect("the device works"));
-    });
+    for (name, takes_four) in VARIANTS {
+        let trainer = gpu.open_variant(field.clone(), takes_four);
+        let mut trainer = trainer.expect("the field fits");
+        group.bench_function(format!("gpu, {name}, rays"), |b| {
+            b.iter(|| trainer.forward(&rays, &LOSSES).expect("the device works"));
+        });
+    }
     group.finish();
 }
 
@@ -69,15 +74,17 @@ fn step(c: &mut Criterion<CpuTime>) {
     });
     drop(fastest);
     let gpu = GpuBackend::open(&adapter(), 1 << 30).expect("an adapter");
-    let mut trainer = gpu.open_trainer(field(WIDTH)).expect("the field fits");
-    group.bench_function("gpu, rays", |b| {
-        b.iter(|| {
-            trainer
-                .step(&rays, &LOSSES, RATES, 0.0, &|| false)
-                .expect("the device works");
-            trainer.sums().expect("the device works")
+    for (name, takes_four) in VARIANTS {
+        let trainer = gpu.open_variant(field(WIDTH), takes_four);
+        let mut trainer = trainer.expect("the field fits");
+        group.bench_function(format!("gpu, {name}, rays"), |b| {
+            b.iter(|| {
+                let stepped = trainer.step(&rays, &LOSSES, RATES, 0.0, &|| false);
+                stepped.expect("the device works");
+                trainer.sums().expect("the device works")
+            });
         });
-    });
+    }
     group.finish();
 }
 

@@ -19,6 +19,14 @@ pub(in crate::backend) struct Stages {
     pub(in crate::backend) loss: f64,
 }
 
+impl Stages {
+    /// Samples that matter to a colour ray.
+    pub(in crate::backend) fn colored(&self) -> usize {
+        let samples = self.rays.iter().flatten();
+        samples.filter(|sample| sample.colored.is_some()).count()
+    }
+}
+
 #[derive(Clone, Copy, Debug)]
 pub(in crate::backend) struct StageSample {
     pub(in crate::backend) sample: RaySample,

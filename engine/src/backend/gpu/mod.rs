@@ -85,6 +85,15 @@ impl GpuBackend {
         self.scenes.resident_bytes()
     }
 
+    /// [`Self::open_trainer`] whose colour network takes four samples a thread, or one: for comparing the two.
+    ///
+    /// # Errors
+    /// As [`Self::open_trainer`].
+    #[doc(hidden)]
+    pub fn open_variant(&self, field: Field, takes_four: bool) -> Result<GpuTrainer, Error> {
+        GpuTrainer::with_variant(self.device.clone(), field, takes_four)
+    }
+
     /// Kernels dispatched on this device so far.
     pub fn dispatch_count(&self) -> u64 {
         self.device.dispatch_count()

@@ -67,6 +67,34 @@ fn parity_of_stages_with_networks_of_all_widths() {
     }
 }
 
+/// Devices use one of the two; both must be right.
+#[test]
+fn parity_of_networks_with_one_and_with_four_samples_a_thread() {
+    on_adapter("samples a thread", |gpu| {
+        // Not a multiple of four slots.
+        let mut scene = scene(16, LOSSES);
+        while on_cpu(&scene).0.colored() % 4 == 0 {
+            scene.rays.pop();
+        }
+        let cpu = on_cpu(&scene);
+        for takes_four in [false, true] {
+            let field = scene.field.clone();
+            let trainer = gpu.open_variant(field, takes_four);
+            let stages = trainer.unwrap().stages(&scene.rays, &scene.losses).unwrap();
+            let worst = compare_stages(&Gpu(stages.clone()), &cpu).unwrap();
+            println!("four: {takes_four}, largest deviations {worst:?}");
+            // Broken: the last of every four slots forgotten.
+            let mut wrong = Gpu(stages);
+            let samples = wrong.0.rays.iter_mut().flatten();
+            let colored = samples.filter_map(|sample| sample.colored.as_mut());
+            for color in colored.skip(3).step_by(4) {
+                color.feature_gradient = [0.0; 12];
+            }
+            assert!(compare_stages(&wrong, &cpu).is_err());
+        }
+    });
+}
+
 #[test]
 fn parity_of_the_entropy_loss() {
     let forgotten = RayLosses {

@@ -17,8 +17,8 @@ const RATES: Rates = Rates {
     pose_m: 0.0,
 };
 /// Relative error of what a kind of parameters moved by. An optimiser divides by the gradient's own size, so that a node whose
-/// gradient is rounding only moves as far as others, either way: measured 1e-3 after five steps.
-const MOVED: f64 = 2e-2;
+/// gradient is rounding only moves as far as others, either way. Measured 2e-6 on lavapipe; fused multiply-add elsewhere tips more signs.
+const MOVED: f64 = 1e-2;
 const STEPS: usize = 5;
 
 #[test]

@@ -112,7 +112,9 @@ impl Batch {
         let samples = rays * capacity.samples_per_ray as usize;
         let step_rays = capacity.step_rays as usize;
         let blocks = capacity.shares as usize * weight_blocks(network);
-        let neurons = samples * width_blocks(network);
+        // Some kernels take four slots at a time.
+        let slots = samples.next_multiple_of(4);
+        let neurons = slots * width_blocks(network);
         let storage = BufferUsages::STORAGE;
         let layer = |params: &layout::LayerParams| {
             let params = layout::LayerParams {
@@ -132,16 +134,11 @@ impl Batch {
             slots: Buffer::zeroed(device, "sample slots", samples, storage)?,
             first_points: Buffer::zeroed(device, "first points", rays, storage)?,
             points: Buffer::zeroed(device, "gradient points", samples, storage)?,
-            slot_samples: Buffer::zeroed(device, "slot samples", samples, storage)?,
-            slot_inputs: Buffer::zeroed(device, "slot inputs", INPUT_BLOCKS * samples, storage)?,
-            slot_colors: Buffer::zeroed(device, "slot colours", samples, storage)?,
-            slot_color_gradients: Buffer::zeroed(
-                device,
-                "slot colour gradients",
-                samples,
-                storage,
-            )?,
-            slot_gradients: Buffer::zeroed(device, "slot gradients", 3 * samples, storage)?,
+            slot_samples: Buffer::zeroed(device, "slot samples", slots, storage)?,
+            slot_inputs: Buffer::zeroed(device, "slot inputs", INPUT_BLOCKS * slots, storage)?,
+            slot_colors: Buffer::zeroed(device, "slot colours", slots, storage)?,
+            slot_color_gradients: Buffer::zeroed(device, "slot colour gradients", slots, storage)?,
+            slot_gradients: Buffer::zeroed(device, "slot gradients", 3 * slots, storage)?,
             hidden: [
                 Buffer::zeroed(device, "hidden layer 1", neurons, storage)?,
                 Buffer::zeroed(device, "hidden layer 2", neurons, storage)?,

@@ -32,7 +32,9 @@ impl KernelCache {
         if let Some(kernels) = by_width.get(&network.width) {
             return Ok(Arc::clone(kernels));
         }
-        let kernels = Arc::new(TrainKernels::new(device, network)?);
+        // Reading a weight is broadcast for free on a GPU, and as dear as using it in software.
+        let kernels = TrainKernels::new(device, network, device.is_software())?;
+        let kernels = Arc::new(kernels);
         by_width.insert(network.width, Arc::clone(&kernels));
         Ok(kernels)
     }
@@ -57,17 +59,30 @@ pub(super) struct TrainKernels {
 }
 
 impl TrainKernels {
-    fn new(device: &Device, network: MlpLayout) -> Result<Self, Error> {
+    /// With four samples a thread in the colour network, or one.
+    pub(super) fn new(
+        device: &Device,
+        network: MlpLayout,
+        takes_four: bool,
+    ) -> Result<Self, Error> {
         let plain = |kernel: &Kernel| Pipeline::new(device, kernel);
         let width = [("WIDTH_BLOCKS", width_blocks(network) as f64)];
         let wide = |kernel: &Kernel| Pipeline::with(device, kernel, &width);
+        let (forward, backward) = if takes_four {
+            (
+                kernels::NETWORK_FORWARD_FOUR,
+                kernels::NETWORK_BACKWARD_FOUR,
+            )
+        } else {
+            (kernels::NETWORK_FORWARD, kernels::NETWORK_BACKWARD)
+        };
         Ok(Self {
             march: plain(&kernels::MARCH_DENSITY)?,
             composite: plain(&kernels::COMPOSITE_SAMPLES)?,
             gather: plain(&kernels::GATHER_INPUTS)?,
-            forward: wide(&kernels::NETWORK_FORWARD)?,
+            forward: wide(&forward)?,
             losses: plain(&kernels::RAY_LOSSES)?,
-            backward: wide(&kernels::NETWORK_BACKWARD)?,
+            backward: wide(&backward)?,
             layer_gradients: plain(&kernels::LAYER_GRADIENTS)?,
             scatter: plain(&kernels::SCATTER_GRADIENTS)?,
             sum: plain(&kernels::SUM_STEP)?,

@@ -85,9 +85,28 @@ impl GpuTrainer {
     /// # Errors
     /// [`Error::TooLarge`] or [`Error::OutOfMemory`] where it does not fit, [`Error::Lost`] and [`Error::Rejected`].
     pub(super) fn new(device: Device, kernels: &KernelCache, field: Field) -> Result<Self, Error> {
+        let kernels = kernels.get(&device, field.mlp.layout())?;
+        Self::with_kernels(device, kernels, field)
+    }
+
+    /// [`Self::new`] whose colour network takes four samples a thread, or one, whatever suits the device.
+    pub(super) fn with_variant(
+        device: Device,
+        field: Field,
+        takes_four: bool,
+    ) -> Result<Self, Error> {
+        let kernels = TrainKernels::new(&device, field.mlp.layout(), takes_four)?;
+        Self::with_kernels(device, Arc::new(kernels), field)
+    }
+
+    fn with_kernels(
+        device: Device,
+        kernels: Arc<TrainKernels>,
+        field: Field,
+    ) -> Result<Self, Error> {
         let network = field.mlp.layout();
         let mut trainer = Self {
-            kernels: kernels.get(&device, network)?,
+            kernels,
             march_params: Buffer::zeroed(&device, "march parameters", 1, BufferUsages::UNIFORM)?,
             step: StepBuffers::new(&device, network)?,
             network: ResidentNetwork::upload(&device, &field.mlp)?,
