@@ -73,7 +73,7 @@ fn parity_of_networks_with_one_and_with_four_samples_a_thread() {
     on_adapter("samples a thread", |gpu| {
         // Not a multiple of four slots.
         let mut scene = scene(16, LOSSES);
-        while on_cpu(&scene).0.colored() % 4 == 0 {
+        while on_cpu(&scene).0.colored().is_multiple_of(4) {
             scene.rays.pop();
         }
         let cpu = on_cpu(&scene);
