@@ -81,13 +81,23 @@ impl<T: NoUninit + AnyBitPattern> Buffer<T> {
     /// # Errors
     /// As [`Self::from_slice`].
     pub(super) fn grow(&mut self, device: &Device, len: usize) -> Result<(), Error> {
-        if len > self.len {
-            // The old buffer goes first, so that both need not fit.
-            self.raw.destroy();
-            let most = device.max_binding_bytes() / size_of::<T>().max(1) as u64;
-            let wanted = len.next_power_of_two().min(most as usize).max(len);
-            *self = Self::zeroed(device, self.label, wanted, self.usage)?;
+        if len <= self.len {
+            return Ok(());
         }
+        let available_bytes = device.max_binding_bytes();
+        let most = (available_bytes / size_of::<T>() as u64) as usize;
+        if len > most {
+            return Err(Error::TooLarge {
+                what: self.label,
+                needed_bytes: (len * size_of::<T>()) as u64,
+                available_bytes,
+            });
+        }
+        // The old buffer goes first, so that both need not fit; without a new one it holds nothing.
+        self.raw.destroy();
+        self.len = 0;
+        let wanted = len.next_power_of_two().min(most);
+        *self = Self::zeroed(device, self.label, wanted, self.usage)?;
         Ok(())
     }
 
