@@ -232,7 +232,7 @@ pub(crate) enum AssetsCommand {
         out: PathBuf,
     },
     /// Draw where objects may stand on a background, seen from above, with placements that a recipe would make.
-    ValidRegion(ValidRegionOptions),
+    ValidRegion(Box<ValidRegionOptions>),
     /// Remove an asset from the library.
     Delete { asset: String },
 }

@@ -90,7 +90,7 @@ fn boxes(plans: &[v1::SamplePlan]) -> Vec<MapBox> {
             }
             known.push(&item.track_id);
         }
-        let cuboid = item.cuboid.clone().unwrap_or_default();
+        let cuboid = item.cuboid.unwrap_or_default();
         drawn.push(MapBox {
             world_from_cuboid: rigid_from_wire(cuboid.world_from_cuboid.as_ref()),
             size_m: vector_from_wire(cuboid.size_m.as_ref()),
