@@ -356,7 +356,7 @@ fn tracking_split(drive: &Drive) -> KittiTrackingInputs {
         .map(|i| {
             format!(
                 "{} 8.44 115.0 0.01 0.02 1.5 0 0 0\n",
-                49.0 + 0.00001 * f64::from(i)
+                49.0 + 0.00001 * f64::from(i.max(1))
             )
         })
         .collect();
@@ -393,7 +393,7 @@ fn a_tracking_sequence_is_the_drive_it_was_cut_from() {
     for frame in [0, 1, 2] {
         let packet = format!(
             "{} 8.44 115.0 0.01 0.02 1.5 0 0 0\n",
-            49.0 + 0.00001 * f64::from(frame)
+            49.0 + 0.00001 * f64::from(frame.max(1))
         );
         drive.write(
             &format!("day/drive/oxts/data/000000000{frame}.txt"),

@@ -46,7 +46,9 @@ pub(crate) fn tracks(
             return Err(Error::malformed(path, what));
         }
         let size = observation.size_m;
-        if !(size.min_element() > 0.0 && size.max_element() <= MAX_SIZE_M) {
+        // Minima pass over NaN.
+        let fits = size.min_element() > 0.0 && size.max_element() <= MAX_SIZE_M;
+        if !(size.is_finite() && fits) {
             let what = format!("track {id}: size {size} is not within 0 to {MAX_SIZE_M} m");
             return Err(Error::malformed(path, what));
         }
