@@ -352,7 +352,7 @@ fn tracking_split(drive: &Drive) -> KittiTrackingInputs {
     );
     drive.write("split/calib/0003.txt", calibration.as_bytes());
     drive.write("split/label_02/0003.txt", LABELS.as_bytes());
-    let packets: String = (0..4)
+    let packets: String = (0_i32..4)
         .map(|i| {
             format!(
                 "{} 8.44 115.0 0.01 0.02 1.5 0 0 0\n",
@@ -390,7 +390,7 @@ fn tracking_split(drive: &Drive) -> KittiTrackingInputs {
 fn a_tracking_sequence_is_the_drive_it_was_cut_from() {
     let drive = Drive::new();
     let inputs = tracking_split(&drive);
-    for frame in [0, 1, 2] {
+    for frame in [0_i32, 1, 2] {
         let packet = format!(
             "{} 8.44 115.0 0.01 0.02 1.5 0 0 0\n",
             49.0 + 0.00001 * f64::from(frame.max(1))
