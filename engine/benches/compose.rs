@@ -7,6 +7,7 @@ use std::hint::black_box;
 use std::sync::Arc;
 
 use backlot_engine::Field;
+use backlot_engine::backend::cpu::CpuBackend;
 use backlot_engine::camera::{Camera, Distortion, Rigid};
 use backlot_engine::scene::{RenderOptions, Scene, SceneObject, Tone, render};
 use backlot_engine::train::{
@@ -138,7 +139,7 @@ fn background() -> Field {
         steps: STEPS,
         ..TrainPreset::background(Budget::Quick)
     };
-    train_background(&input, &preset, 1, &NoControl)
+    train_background(&input, &preset, 1, &CpuBackend, &NoControl)
         .expect("trains")
         .field
 }
@@ -162,7 +163,7 @@ fn object() -> Field {
         steps: STEPS,
         ..TrainPreset::object(Budget::Quick)
     };
-    train_object(&input, &preset, 1, &NoControl)
+    train_object(&input, &preset, 1, &CpuBackend, &NoControl)
         .expect("trains")
         .field
 }

@@ -71,6 +71,15 @@ pub struct ObjectRecord {
     pub source_track_id: Option<String>,
     /// How the asset's colours were matched to the frame.
     pub tone: Option<ToneRecord>,
+    /// How it was moved from its source's sunlight into that of its place.
+    pub relight: Option<RelightRecord>,
+}
+
+/// Mean parts of the sun that reach an object, 0..1.
+#[derive(Clone, Debug, Serialize)]
+pub struct RelightRecord {
+    pub source_sun: f64,
+    pub place_sun: f64,
 }
 
 #[derive(Clone, Debug, Serialize)]
@@ -94,6 +103,10 @@ pub struct ProvenanceRecord {
     pub seed: u64,
     pub render_class: String,
     pub insert_shadows: bool,
+    /// Unit vector towards the sun in the log's world frame.
+    pub sun_direction_world: Option<[f64; 3]>,
+    /// "recipe", "log" or "estimated"; absent without a direction.
+    pub sun_source: Option<&'static str>,
     pub synthetic: bool,
     pub objects: Vec<String>,
 }
@@ -103,6 +116,7 @@ pub fn sample_record(sample: &v1::Sample, position: usize) -> SampleRecord {
     let frame = &sample.frames[position];
     let view = frame.view.unwrap_or_default();
     let provenance = sample.provenance.clone().unwrap_or_default();
+    let sun_source = sun_source(provenance.sun_source());
     SampleRecord {
         index: sample.index,
         frame_id: position,
@@ -127,11 +141,22 @@ pub fn sample_record(sample: &v1::Sample, position: usize) -> SampleRecord {
             seed: provenance.seed,
             render_class: provenance.render_class,
             insert_shadows: provenance.insert_shadows,
+            sun_direction_world: provenance.sun_direction_world.map(|d| [d.x, d.y, d.z]),
+            sun_source,
             synthetic: provenance.synthetic,
             objects: provenance.objects,
         },
         // The wire's map has no order; files must be equal byte for byte.
         rejections: sample.rejections.clone().into_iter().collect(),
+    }
+}
+
+fn sun_source(source: v1::SunSource) -> Option<&'static str> {
+    match source {
+        v1::SunSource::Unspecified => None,
+        v1::SunSource::Recipe => Some("recipe"),
+        v1::SunSource::Log => Some("log"),
+        v1::SunSource::Estimated => Some("estimated"),
     }
 }
 
@@ -170,6 +195,10 @@ fn object_record(
         tone: box_3d.tone.as_ref().map(|tone| ToneRecord {
             gain: tone.gain.clone(),
             offset: tone.offset.clone(),
+        }),
+        relight: box_3d.relight.map(|relight| RelightRecord {
+            source_sun: relight.source_sun,
+            place_sun: relight.place_sun,
         }),
     }
 }

@@ -153,6 +153,7 @@ pub(super) fn drive(slope: f64, count: u32, spacing_m: f64) -> Recording {
         frames: frames.collect(),
         tracks: Vec::new(),
         sun_direction_local: None,
+        daylight: None,
     }
 }
 

@@ -54,6 +54,7 @@ fn later_frame(
         left_out: Vec::new(),
         rejections: BTreeMap::new(),
         insert_shadows: first.insert_shadows,
+        daylight: first.daylight,
     };
     for track in 0..stage.recording.tracks.len() {
         show_original(&mut later, stage, library, &clip.absent, track);

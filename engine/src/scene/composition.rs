@@ -6,6 +6,7 @@ use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
 use super::collision::Occupied;
+use super::daylight::Daylight;
 use super::edit::{Edit, ResolvedEdit, own_asset, resolve, resolve_given};
 use super::movement::{ClipSpace, Course, Movement};
 use super::placement::Placer;
@@ -159,6 +160,8 @@ pub struct Composition {
     /// Rejected attempts by [`Rejection::name`].
     pub rejections: BTreeMap<String, u32>,
     pub insert_shadows: bool,
+    /// The sunlight, as far as it is known.
+    pub daylight: Option<Daylight>,
 }
 
 /// Attempts a slot: a crowded scene gives up here instead of searching forever.
@@ -215,6 +218,7 @@ pub(super) fn compose_first<'a>(
         left_out: Vec::new(),
         rejections: BTreeMap::new(),
         insert_shadows: recipe.insert_shadows,
+        daylight: stage.recording.light(),
     };
     let frames = recipe.clip.frames_from(stage.recording, frame);
     let mut clip = ClipSpace::new(*stage, frames.expect("only such frames are eligible"));

@@ -9,12 +9,13 @@ use super::composition::{Composition, LeftOut, Origin, Stage};
 use super::fill::{Part, fill};
 use super::footprint::GroundPlane;
 use super::frame::RenderedFrame;
+use super::ground_light::GroundSun;
 use super::hull::for_each_pixel;
 use super::random::Draws;
 use super::recorded::{RecordedImage, blend_rim, is_placed, show_recorded};
 use super::render::Scene;
 use super::seen::Sight;
-use super::shadow::{cast_shadows, shadow_casters};
+use super::shadow::{Caster, cast_shadows_on, shadow_casters};
 use super::silhouette::{Shape, silhouette};
 use super::valid_region::ValidRegion;
 use crate::camera::Rigid;
@@ -65,9 +66,12 @@ pub fn finish<'a>(
         }
         blend_rim(image, &hidden, &mut shown, frame);
     }
-    let sun = stage.recording.sun_direction_local;
-    let casters = shadow_casters(composition, sun.is_some());
-    cast_shadows(scene, &casters, sun, &shown, frame);
+    let casters = shadow_casters(composition, stage.recording.sun_direction_local.is_some());
+    let daylight = composition.daylight.as_ref();
+    let background = scene.background.map(Arc::as_ref);
+    let ground = daylight
+        .map(|day| GroundSun::around(stage, background, day, &places(composition, &casters)));
+    cast_shadows_on(scene, &casters, daylight, ground.as_ref(), &shown, frame);
     let made_up = |i: usize| filled[i] && !is_placed(composition, frame.instance[i]);
     let mask: Vec<u8> = (0..filled.len())
         .map(|i| if made_up(i) { u8::MAX } else { 0 })
@@ -77,6 +81,16 @@ pub fn finish<'a>(
         ignore: (filled_px > 0).then_some(mask),
         filled_px,
     }
+}
+
+/// Centres of the objects that throw shadows.
+fn places(composition: &Composition, casters: &[Caster]) -> Vec<DVec3> {
+    let throws = |id: u16| casters.iter().any(|c| c.instance_id == id);
+    let objects = composition.objects.iter();
+    objects
+        .filter(|o| throws(o.instance_id))
+        .map(|o| o.local_from_object.translation_m)
+        .collect()
 }
 
 /// Pixels of the recorded image that a left-out mover took and no staying one before it.

@@ -70,6 +70,7 @@ impl Shot {
                 left_out: Vec::new(),
                 rejections: BTreeMap::new(),
                 insert_shadows: false,
+                daylight: None,
             },
             recording,
             road: Arc::new(road()),

@@ -77,6 +77,12 @@ impl RenderedFrame {
         self.flatten(i);
     }
 
+    /// Replaces the placed objects' colours, which come times their weight.
+    pub(super) fn set_placed(&mut self, i: usize, rgb: [f32; 3]) {
+        self.placed_rgb[i] = rgb;
+        self.flatten(i);
+    }
+
     /// Whether enough of what lies behind shows to know its colour.
     pub(super) fn shows_behind(&self, i: usize) -> bool {
         1.0 - self.placed_alpha[i] > LEAST_BEHIND

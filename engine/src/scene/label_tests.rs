@@ -92,6 +92,7 @@ fn composition(objects: Vec<PlacedObject>) -> Composition {
         left_out: Vec::new(),
         rejections: BTreeMap::new(),
         insert_shadows: false,
+        daylight: None,
     }
 }
 

@@ -41,8 +41,16 @@ mod trajectory;
 mod frame;
 mod merge;
 mod render;
-mod shadow;
 mod tile;
+
+mod daylight;
+mod ground_light;
+mod linear;
+mod measured_light;
+mod relight;
+mod shadow;
+mod sun_grid;
+mod surface;
 
 mod fill;
 mod finish;
@@ -77,12 +85,15 @@ mod region_trained_tests;
 mod render_tests;
 #[cfg(test)]
 mod solid_field;
+#[cfg(test)]
+mod sunlight_tests;
 
 pub use clip::compose_clip;
 pub use collision::{Occupied, intersection_area_m2};
 pub use composition::{
     ATTEMPTS, Candidate, Composition, LeftOut, Origin, PlacedObject, Stage, compose,
 };
+pub use daylight::{Daylight, SunSource};
 pub use density::{DensityField, HALF_TAU};
 pub use edit::{ActorEdit, Edit, GivenObject, MAX_EDITS, MAX_GIVEN_OBJECTS, Shift};
 pub use finish::{Finished, finish};
@@ -90,6 +101,7 @@ pub use footprint::{Footprint, GroundPlane};
 pub use frame::RenderedFrame;
 pub use histogram::Histogram;
 pub use labels::{FrameLabel, label};
+pub use measured_light::measure_daylight;
 pub use merge::{Merged, composite, merge};
 pub use pillar::Pillars;
 pub use preset::PlacementPreset;
@@ -100,6 +112,7 @@ pub use recorded::{InstanceMask, RecordedImage, needs_recorded};
 pub use recording::{RecordedCamera, RecordedFrame, RecordedTrack, Recording};
 pub use region_builder::RegionConfig;
 pub use rejection::Rejection;
+pub use relight::{ObjectLight, Relit, object_lights, relight};
 #[cfg(feature = "gpu")]
 pub(crate) use render::{Prepared, assemble};
 pub use render::{RenderOptions, Scene, SceneObject, StaticObject, render};

@@ -62,7 +62,10 @@ pub struct Recipe {
     pub replace_probability: f64,
     /// Leaves original movers out instead of replaying them.
     pub drop_originals: bool,
+    /// Inserted and replacing objects throw shadows.
     pub insert_shadows: bool,
+    /// Moves inserted and replacing objects from the sunlight they were recorded in into that of their place.
+    pub match_light: bool,
     /// Matches the light of objects from other logs to the recorded frame.
     pub match_tones: bool,
     /// Longer side of the image in pixels; 0 means as recorded.
@@ -108,7 +111,8 @@ impl Recipe {
             min_height_px: values.min_height_px,
             replace_probability: 0.0,
             drop_originals: false,
-            insert_shadows: false,
+            insert_shadows: true,
+            match_light: true,
             match_tones: true,
             longer_side_px: 0,
             coverage_slack_rad: values.coverage_slack_rad,

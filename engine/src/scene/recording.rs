@@ -3,6 +3,7 @@
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
+use super::daylight::{Daylight, SunSource};
 use crate::camera::{Camera, Rigid};
 use crate::class::ObjectClass;
 use crate::{Error, Result};
@@ -16,6 +17,9 @@ pub struct Recording {
     pub tracks: Vec<RecordedTrack>,
     /// Unit vector from the ground towards the sun; `None` if unknown.
     pub sun_direction_local: Option<DVec3>,
+    /// The sunlight as the background shows it; `None` if it was not measured or there are no shadows.
+    #[serde(default)]
+    pub daylight: Option<Daylight>,
 }
 
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -96,6 +100,13 @@ impl Recording {
             }
         }
         Ok(())
+    }
+
+    /// The sunlight as measured, else a clear day's from the sun of the log; `None` where neither is known.
+    pub fn light(&self) -> Option<Daylight> {
+        let of_log = |sun| Daylight::clear_sky(sun, SunSource::Log);
+        self.daylight
+            .or_else(|| self.sun_direction_local.and_then(of_log))
     }
 
     pub fn camera(&self, camera_id: &str) -> Option<&Camera> {

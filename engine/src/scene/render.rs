@@ -102,7 +102,8 @@ impl<'a> Scene<'a> {
 pub struct RenderOptions {
     /// Rays per pixel side everywhere.
     pub supersample: u32,
-    /// Rays per pixel side where an object may be whose voxels are smaller than a pixel; other pixels take `supersample`.
+    /// Rays per pixel side, at most, where an object may be whose voxels are smaller than a pixel: as many as bring rays a voxel
+    /// apart, and at least two. Other pixels take `supersample`.
     pub object_supersample: u32,
 }
 
@@ -110,7 +111,8 @@ impl Default for RenderOptions {
     fn default() -> Self {
         Self {
             supersample: 1,
-            object_supersample: 2,
+            // A car with voxels of 0.05 m up to 140 m away at 700 px focal length.
+            object_supersample: 4,
         }
     }
 }
@@ -249,11 +251,7 @@ impl<'a> Prepared<'a> {
             let object = &scene.objects[*i];
             let camera_from_object = camera_from_local * object.local_from_object;
             let (low, high) = object.field.bounds();
-            let supersample = if is_small(scene, object, distance(i)) {
-                options.object_supersample
-            } else {
-                options.supersample
-            };
+            let supersample = rays_per_side(scene, object, distance(i), options);
             PreparedObject {
                 instance_id: object.instance_id,
                 field: object.field,
@@ -266,7 +264,7 @@ impl<'a> Prepared<'a> {
                     low.as_dvec3(),
                     high.as_dvec3(),
                 ),
-                supersample: supersample.max(options.supersample).max(1),
+                supersample,
             }
         });
         let statics = scene.statics.iter().map(|object| {
@@ -298,10 +296,22 @@ impl<'a> Prepared<'a> {
 /// Annotated boxes of static objects are this tight around their reconstructed surface.
 const STATIC_PADDING_M: f64 = 0.1;
 
-/// Whether a pixel is wider than the object's voxels, so that one ray would step over them.
-fn is_small(scene: &Scene<'_>, object: &SceneObject<'_>, distance_m: f64) -> bool {
+/// Rays per pixel side for an object: further apart than its voxels, they would step over what it shows.
+fn rays_per_side(
+    scene: &Scene<'_>,
+    object: &SceneObject<'_>,
+    distance_m: f64,
+    options: &RenderOptions,
+) -> u32 {
     let pixel_m = distance_m / scene.camera.focal_px.x;
-    pixel_m > 0.5 * f64::from(object.field.finest_voxel_m())
+    let voxels = pixel_m / f64::from(object.field.finest_voxel_m());
+    let wanted = if voxels > 0.5 {
+        (voxels.ceil() as u32).clamp(2, options.object_supersample.max(2))
+    } else {
+        1
+    };
+    let least = options.supersample.max(1);
+    wanted.min(options.object_supersample).max(least)
 }
 
 /// Everything in the image if part of the box is behind the camera, nothing if all is.

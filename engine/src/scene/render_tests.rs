@@ -76,6 +76,7 @@ fn composition(objects: Vec<PlacedObject>) -> Composition {
         left_out: Vec::new(),
         rejections: BTreeMap::new(),
         insert_shadows: false,
+        daylight: None,
     }
 }
 
@@ -478,4 +479,83 @@ fn the_logs_mask_cuts_a_recorded_mover_out() {
         tracks: &swapped,
     }));
     assert!(wrong.iter().all(|left| !*left));
+}
+
+/// A ball whose colour depends on the direction it is seen from.
+fn iridescent() -> Arc<Field> {
+    let sigma = |p: Vec3| if p.length() < 0.9 { 60.0 } else { 0.0 };
+    let mut ball = solid_field(Vec3::splat(-1.1), Vec3::splat(1.1), 0.1, [0.5; 3], sigma);
+    let mut draws = super::random::Draws::new(5, 0, 0);
+    ball.mlp = crate::field::ColorMlp::new(16, || draws.unit());
+    Arc::new(ball)
+}
+
+#[test]
+fn an_object_is_seen_from_its_own_side() {
+    let ball = iridescent();
+    let shot = |camera_turn: f64, object_turn: f64| {
+        let about = |turn: f64| Rigid::from_heading(turn, DVec3::new(10.0, 0.0, 1.5));
+        let scene = Scene {
+            background: None,
+            objects: vec![super::render::SceneObject {
+                instance_id: 1,
+                field: &ball,
+                local_from_object: about(object_turn),
+                size_m: DVec3::splat(2.0),
+                tone: super::tone::Tone::IDENTITY,
+            }],
+            statics: Vec::new(),
+            camera: camera().resized(160, 96),
+            local_from_camera: about(camera_turn)
+                * Rigid::new(forward_from_camera(), DVec3::new(-7.0, 0.0, 0.0)),
+        };
+        let frame = render(&scene, &RenderOptions::default(), &|| false).unwrap();
+        let (mut sum, mut weight) = (DVec3::ZERO, 0.0);
+        for (rgb, alpha) in frame.placed_rgb.iter().zip(&frame.placed_alpha) {
+            sum += DVec3::from_array(rgb.map(f64::from));
+            weight += f64::from(*alpha);
+        }
+        sum / weight
+    };
+    let straight = shot(0.0, 0.0);
+    // Camera and object turn together: nothing changes. The object alone turns: another side of it is seen, which a view direction
+    // that stayed in the scene's frame would not show.
+    assert!((shot(1.3, 1.3) - straight).length() < 2e-3);
+    assert!((shot(0.0, 1.3) - straight).length() > 0.02);
+}
+
+#[test]
+fn a_small_far_object_is_not_stepped_over() {
+    // Stripes of two voxels; a pixel spans three.
+    let half = (CAR * 0.5).as_vec3();
+    let sigma = |p: Vec3| if p.abs().cmple(half).all() { 60.0 } else { 0.0 };
+    let mut car = solid_field(-half - 0.2, half + 0.2, 0.1, [0.5; 3], sigma);
+    super::solid_field::tint(&mut car, |p| {
+        if ((p.y + 10.0) * 5.0) as i32 % 2 == 0 {
+            2.0
+        } else {
+            -2.0
+        }
+    });
+    let (car, background) = (Arc::new(car), background());
+    let mut far = composition(vec![placed(1, Origin::Inserted, Some(0), 29.0, 0.0)]);
+    far.objects[0].local_from_object = Rigid::from_heading(0.0, DVec3::new(29.0, 0.0, 0.8));
+    let scene = Scene::of_composition(&background, &far, |_| Some(&car)).unwrap();
+    let shot = |supersample: u32, object_supersample: u32| {
+        let options = RenderOptions {
+            supersample,
+            object_supersample,
+        };
+        render(&scene, &options, &|| false).unwrap()
+    };
+    let exact = shot(12, 12);
+    let error = |frame: &RenderedFrame| {
+        let own = (0..exact.instance.len()).filter(|i| exact.placed_alpha[*i] > 0.3);
+        let error =
+            |i: usize| (f64::from(frame.rgb8[3 * i]) - f64::from(exact.rgb8[3 * i])).powi(2);
+        own.map(error).sum::<f64>().sqrt()
+    };
+    let default = RenderOptions::default().object_supersample;
+    let (single, filtered) = (error(&shot(1, 1)), error(&shot(1, default)));
+    assert!(filtered < 0.4 * single, "{filtered} against {single}");
 }

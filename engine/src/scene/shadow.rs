@@ -4,20 +4,18 @@
 //! A ground pixel's light is then scaled by what is left of both. Surfaces off the caster's ground plane, and pixels that belong to
 //! objects, keep their light.
 
-use std::sync::Arc;
-
 use glam::{DVec2, DVec3};
 use rayon::prelude::*;
 
 use super::composition::{Composition, Origin};
+use super::daylight::Daylight;
 use super::frame::RenderedFrame;
+use super::ground_light::GroundSun;
+use super::linear::scale;
 use super::render::{Scene, SceneObject};
+use super::sun_grid::{SUN_LIFT_M, SUN_RANGE_M, transmittance};
 use crate::field::{Field, RaySample};
 
-/// The sun's part of the light on level ground in the open, from clear-sky irradiance in daylight.
-const SUN_SHARE: f64 = 0.7;
-/// A lower sun throws shadows longer than the ground plane can be trusted.
-const MIN_SUN_SINE: f64 = 0.17;
 const CELL_M: f64 = 0.1;
 /// The dome is darkened up to this far from an object.
 const CONTACT_REACH_M: f64 = 1.0;
@@ -30,10 +28,6 @@ const LIFT_M: f64 = 0.06;
 /// Directions over the dome: rings x turns, weighted by cosine.
 const DOME_RINGS: u32 = 3;
 const DOME_TURNS: u32 = 8;
-/// Ground in the shadow of the background itself has no sun to lose; the ray to the sun starts clear of the ground's haze.
-const SUN_LIFT_M: f64 = 0.7;
-const SUN_RANGE_M: f64 = 40.0;
-const STOP_TAU: f32 = 4.0;
 
 /// An instance that throws a shadow.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -62,18 +56,28 @@ pub fn shadow_casters(composition: &Composition, sun_known: bool) -> Vec<Caster>
         .collect()
 }
 
-/// Darkens the ground under and behind the casters. Without a sun direction only the contact shadow remains. `shown` is the weight of
-/// the recorded image per pixel.
+/// Darkens the ground under and behind the casters. Without daylight only the contact shadow remains. `shown` is the weight of the
+/// recorded image per pixel.
 pub fn cast_shadows(
     scene: &Scene<'_>,
     casters: &[Caster],
-    sun_direction_local: Option<DVec3>,
+    daylight: Option<&Daylight>,
     shown: &[f32],
     frame: &mut RenderedFrame,
 ) {
-    let sun = sun_direction_local
-        .map(DVec3::normalize)
-        .filter(|d| d.z >= MIN_SUN_SINE);
+    cast_shadows_on(scene, casters, daylight, None, shown, frame);
+}
+
+/// [`cast_shadows`] where it is known which ground lies in the sun anyway.
+pub(super) fn cast_shadows_on(
+    scene: &Scene<'_>,
+    casters: &[Caster],
+    daylight: Option<&Daylight>,
+    ground: Option<&GroundSun<'_>>,
+    shown: &[f32],
+    frame: &mut RenderedFrame,
+) {
+    let sun = daylight.map(|day| day.sun_direction_local);
     let mut named: Vec<(&SceneObject<'_>, bool)> = scene
         .objects
         .iter()
@@ -90,22 +94,25 @@ pub fn cast_shadows(
     if maps.is_empty() {
         return;
     }
+    let background = scene.background.map(|field| -> &Field { field });
     let darkened: Vec<Option<[f32; 3]>> = (0..shown.len())
         .into_par_iter()
-        .map(|i| {
+        .map_init(Vec::new, |samples, i| {
             let z = f64::from(frame.behind_z_m[i]);
             if z <= 0.0 || !frame.shows_behind(i) {
                 return None;
             }
             let p = frame.point(scene, i, z);
-            let left = light_left(
-                scene.background.map(Arc::as_ref),
-                &maps,
-                sun,
-                f64::from(shown[i]),
-                p,
-            );
-            (left < 1.0).then(|| frame.behind_rgb[i].map(|c| darken(c, left)))
+            let blocked = light_left(&maps, f64::from(shown[i]), p)?;
+            let left = match daylight {
+                Some(day) => {
+                    let known = ground.and_then(|g| g.on_ground(p));
+                    let open = known.unwrap_or_else(|| open_sun(background, day, p, samples));
+                    blocked.of_ground(day, open)
+                }
+                None => [blocked.dome; 3],
+            };
+            Some(scale(frame.behind_rgb[i], left))
         })
         .collect();
     for (i, rgb) in darkened.into_iter().enumerate() {
@@ -115,66 +122,49 @@ pub fn cast_shadows(
     }
 }
 
-/// Fraction of a ground point's light that all casters together leave.
-fn light_left(
-    background: Option<&Field>,
-    maps: &[ShadowMap<'_>],
-    sun: Option<DVec3>,
-    shown: f64,
-    p: DVec3,
-) -> f64 {
-    let (mut sun_left, mut dome_left) = (1.0, 1.0);
+/// Parts of the sun and of the dome that the casters let through to a place.
+#[derive(Clone, Copy, Debug)]
+struct Left {
+    sun: f64,
+    dome: f64,
+}
+
+/// What all casters together leave of the light at a point; `None` if they leave all.
+fn light_left(maps: &[ShadowMap<'_>], shown: f64, p: DVec3) -> Option<Left> {
+    let mut left = Left {
+        sun: 1.0,
+        dome: 1.0,
+    };
     for map in maps {
         let (sun, dome) = map.at(p);
         let cast = if map.recorded { 1.0 - shown } else { 1.0 };
-        sun_left *= 1.0 - cast * (1.0 - sun);
-        dome_left *= 1.0 - cast * (1.0 - dome);
+        left.sun *= 1.0 - cast * (1.0 - sun);
+        left.dome *= 1.0 - cast * (1.0 - dome);
     }
-    if sun_left == 1.0 && dome_left == 1.0 {
-        return 1.0;
+    (left.sun < 1.0 || left.dome < 1.0).then_some(left)
+}
+
+impl Left {
+    /// Fraction of a ground point's light that is left, by channel, where the part `open` of the sun would reach it: ground in the shadow
+    /// of the background has no sun to lose.
+    fn of_ground(self, day: &Daylight, open: f64) -> [f64; 3] {
+        day.sun_share.map(|share| {
+            let (direct, diffuse) = (share * open, 1.0 - share);
+            (direct * self.sun + diffuse * self.dome) / (direct + diffuse)
+        })
     }
-    let Some(sun) = sun else {
-        return dome_left;
-    };
+}
+
+/// The part of the sun that reaches a ground point past the background.
+fn open_sun(
+    background: Option<&Field>,
+    day: &Daylight,
+    p: DVec3,
+    samples: &mut Vec<RaySample>,
+) -> f64 {
+    let sun = day.sun_direction_local;
     let from = p + sun * (SUN_LIFT_M / sun.z);
-    let open = background.map_or(1.0, |b| transmittance(b, from, sun, SUN_RANGE_M));
-    let (direct, diffuse) = (SUN_SHARE * open, 1.0 - SUN_SHARE);
-    (direct * sun_left + diffuse * dome_left) / (direct + diffuse)
-}
-
-/// Scales an sRGB channel in linear light.
-fn darken(channel: f32, factor: f64) -> f32 {
-    srgb_of(linear_of(f64::from(channel)) * factor) as f32
-}
-
-/// IEC 61966-2-1.
-fn linear_of(encoded: f64) -> f64 {
-    if encoded <= 0.040_45 {
-        encoded / 12.92
-    } else {
-        libm::pow((encoded + 0.055) / 1.055, 2.4)
-    }
-}
-
-fn srgb_of(linear: f64) -> f64 {
-    if linear <= 0.003_130_8 {
-        linear * 12.92
-    } else {
-        1.055 * libm::pow(linear, 1.0 / 2.4) - 0.055
-    }
-}
-
-fn transmittance(field: &Field, origin: DVec3, direction: DVec3, range_m: f64) -> f64 {
-    let mut samples: Vec<RaySample> = Vec::with_capacity(64);
-    let tau = field.march(
-        origin.as_vec3(),
-        direction.as_vec3(),
-        0.0,
-        range_m as f32,
-        STOP_TAU,
-        &mut samples,
-    );
-    f64::from((-tau).exp())
+    background.map_or(1.0, |b| transmittance(b, from, sun, SUN_RANGE_M, samples))
 }
 
 /// Light that reaches a caster's ground plane, on a grid in the caster's frame.
@@ -211,17 +201,25 @@ impl<'a> ShadowMap<'a> {
             rows,
             light: Vec::new(),
         };
-        map.light = (0..columns * rows).map(|i| map.light_at(i, sun)).collect();
+        let mut samples = Vec::new();
+        map.light = (0..columns * rows)
+            .map(|i| map.light_at(i, sun, &mut samples))
+            .collect();
         map
     }
 
-    fn light_at(&self, index: usize, sun: Option<DVec3>) -> (f64, f64) {
+    fn light_at(
+        &self,
+        index: usize,
+        sun: Option<DVec3>,
+        samples: &mut Vec<RaySample>,
+    ) -> (f64, f64) {
         let cell = DVec2::new((index % self.columns) as f64, (index / self.columns) as f64);
         let ground = -self.object.size_m.z * 0.5 + LIFT_M;
         let p = (self.low + cell * CELL_M).extend(ground);
         let field = self.object.field;
-        let through = |d: DVec3| transmittance(field, p, d, MAX_SHADOW_M);
-        let sun_part = sun.map_or(1.0, through);
+        let mut through = |d: DVec3| transmittance(field, p, d, MAX_SHADOW_M, samples);
+        let sun_part = sun.map_or(1.0, &mut through);
         let (low, high) = field.bounds();
         let (low, high) = (low.as_dvec3(), high.as_dvec3());
         let gap = (low - p).max(p - high).truncate().max(DVec2::ZERO);
@@ -284,9 +282,11 @@ fn dome_directions() -> impl Iterator<Item = DVec3> {
 mod tests {
     use super::*;
     use crate::camera::Rigid;
+    use crate::scene::daylight::SunSource;
     use crate::scene::solid_field::solid_field;
     use crate::scene::tone::Tone;
     use glam::Vec3;
+    use std::sync::Arc;
 
     const SIZE: DVec3 = DVec3::new(4.0, 2.0, 1.6);
 
@@ -308,8 +308,13 @@ mod tests {
             size_m: SIZE,
             tone: Tone::IDENTITY,
         };
+        let day = sun.and_then(|sun| Daylight::clear_sky(sun, SunSource::Log));
         let maps = [ShadowMap::new(&object, false, sun)];
-        light_left(None, &maps, sun, 0.0, DVec3::new(x, y, z))
+        let p = DVec3::new(x, y, z);
+        let left = light_left(&maps, 0.0, p);
+        left.map_or(1.0, |left| {
+            day.map_or(left.dome, |day| left.of_ground(&day, 1.0)[0])
+        })
     }
 
     #[test]
@@ -333,12 +338,5 @@ mod tests {
         );
         assert!(under < 0.3 && under < edge && edge < beside && beside < 1.0);
         assert_eq!(far, 1.0);
-    }
-
-    #[test]
-    fn light_is_scaled_in_linear_space() {
-        // 188 is half of full linear light, so a quarter remains: 137.
-        assert!((darken(188.0 / 255.0, 0.5) * 255.0 - 137.0).abs() < 0.5);
-        assert_eq!(darken(0.0, 0.5), 0.0);
     }
 }

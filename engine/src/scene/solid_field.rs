@@ -62,6 +62,32 @@ pub(super) fn stepped_field(
     }
 }
 
+/// Adds `logit(p)` to what the field's colours are before the logistic.
+pub(super) fn tint(field: &mut Field, logit: impl Fn(Vec3) -> f32) {
+    /// Keeps the network's first unit above 0.
+    const LIFT: f32 = 10.0;
+    let level = &mut field.levels[0];
+    let voxel_m = level.voxel_m();
+    let origins: Vec<Vec3> = (0..level.brick_count())
+        .map(|b| level.brick_origin(level.positions()[b]))
+        .collect();
+    let (_, features) = level.parameters_mut();
+    for (node, own) in features.iter_mut().enumerate().skip(BRICK_NODES) {
+        let (brick, within) = (node / BRICK_NODES, node % BRICK_NODES);
+        let step = |shift: u32| (within >> shift & (BRICK_SIDE - 1)) as f32;
+        own[0] = logit(origins[brick] + Vec3::new(step(0), step(3), step(6)) * voxel_m);
+    }
+    let layout = field.mlp.layout();
+    let parameters = field.mlp.parameters_mut();
+    parameters[layout.w1().start] = 1.0;
+    parameters[layout.b1().start] = LIFT;
+    parameters[layout.w2().start] = 1.0;
+    for c in 0..3 {
+        parameters[layout.w3().start + c] = 1.0;
+        parameters[layout.b3().start + c] -= LIFT;
+    }
+}
+
 fn full(voxel_m: f32, low: Vec3, high: Vec3, step_m: f32) -> Occupancy {
     let mut occupancy = Occupancy::new(voxel_m, low, high - low).unwrap();
     let blocks = occupancy.blocks_per_axis();

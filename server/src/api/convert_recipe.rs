@@ -41,6 +41,14 @@ pub(super) fn recipe_from_wire(wire: v1::Recipe, seed: u64) -> Result<RecipeRequ
     let edits = edits(&mut fields, wire.edits);
     let given_objects = given_objects(&mut fields, wire.given_objects);
     let clip = clip(&mut fields, wire.clip);
+    let sun_direction_world = wire.sun_direction_world.map(|sun| {
+        let place = Place::new("recipe.sun_direction_world");
+        let direction = fields.vector(&place, Some(sun));
+        if direction.normalize_or_zero().z <= 0.0 {
+            fields.reject(&place, "does not point up from the ground to the sun");
+        }
+        direction
+    });
     let mut number = |name: &str, value: Option<f64>, default: f64| {
         let place = Place::new(format!("recipe.{name}"));
         value.map_or(default, |value| fields.finite(&place, value))
@@ -77,7 +85,8 @@ pub(super) fn recipe_from_wire(wire: v1::Recipe, seed: u64) -> Result<RecipeRequ
         min_height_px: number("min_height_px", least, defaults.min_height_px),
         replace_probability: number("replace_probability", Some(wire.replace_probability), 0.0),
         drop_originals: wire.drop_originals,
-        insert_shadows: wire.insert_shadows,
+        insert_shadows: wire.insert_shadows.unwrap_or(defaults.insert_shadows),
+        match_light: !wire.keep_light,
         match_tones: !wire.keep_tones,
         longer_side_px: wire.longer_side_px,
         coverage_slack_rad: number("coverage_slack_rad", slack, defaults.coverage_slack_rad),
@@ -112,6 +121,7 @@ pub(super) fn recipe_from_wire(wire: v1::Recipe, seed: u64) -> Result<RecipeRequ
         background,
         objects,
         recipe,
+        sun_direction_world,
         planes,
         seed,
     });
@@ -304,6 +314,15 @@ mod tests {
             ..recipe()
         };
         assert!(violation(nan).starts_with("recipe.coverage_slack_rad: is NaN"));
+        let set = v1::Recipe {
+            sun_direction_world: Some(v1::Vector3 {
+                x: 1.0,
+                y: 0.0,
+                z: -0.2,
+            }),
+            ..recipe()
+        };
+        assert!(violation(set).starts_with("recipe.sun_direction_world: does not point up"));
     }
 
     #[test]

@@ -1,7 +1,7 @@
 //! Samples as they are sent.
 
 use backlot_engine::camera::{Camera, Rigid};
-use backlot_engine::scene::{FrameLabel, Origin, PixelBox};
+use backlot_engine::scene::{Daylight, FrameLabel, Origin, PixelBox, SunSource};
 use backlot_proto::v1;
 
 use super::convert_drive_log::{object_class_to_wire, rigid_to_wire, vector_to_wire};
@@ -39,6 +39,13 @@ pub(super) fn sample_to_wire(sample: Sample, index: u64, origins: &Origins) -> v
             synthetic: sample.synthetic,
             objects,
             weakest_usage: weakest_usage.into(),
+            sun_direction_world: sample
+                .daylight
+                .map(|day| vector_to_wire(day.sun_direction_local)),
+            sun_source: sun_source(sample.daylight.as_ref()).into(),
+            sun_share: sample
+                .daylight
+                .map_or_else(Vec::new, |day| day.sun_share.to_vec()),
         }),
         rejections: sample.rejections.into_iter().collect(),
         frames: sample
@@ -58,6 +65,15 @@ pub(super) fn plan_to_wire(plan: SamplePlan, index: u64) -> v1::SamplePlan {
         world_from_ego: Some(rigid_to_wire(&plan.world_from_ego)),
         boxes_3d: plan.boxes.iter().map(box_to_wire).collect(),
         rejections: plan.rejections.into_iter().collect(),
+    }
+}
+
+fn sun_source(daylight: Option<&Daylight>) -> v1::SunSource {
+    match daylight.map(|day| day.source) {
+        None => v1::SunSource::Unspecified,
+        Some(SunSource::Recipe) => v1::SunSource::Recipe,
+        Some(SunSource::Log) => v1::SunSource::Log,
+        Some(SunSource::Estimated) => v1::SunSource::Estimated,
     }
 }
 
@@ -122,6 +138,10 @@ fn box_to_wire(sample_box: &SampleBox) -> v1::SampleBox {
         tone: sample_box.tone.map(|tone| v1::Tone {
             gain: tone.gain.map(f64::from).to_vec(),
             offset: tone.offset.map(f64::from).to_vec(),
+        }),
+        relight: sample_box.relit.map(|relit| v1::Relight {
+            source_sun: relit.source_sun,
+            place_sun: relit.place_sun,
         }),
     }
 }

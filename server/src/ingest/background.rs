@@ -123,6 +123,7 @@ pub(crate) fn recording(log: &DriveLog) -> Recording {
         sun_direction_local: log
             .sun_direction_world
             .map(|sun| log.local_from_world.direction(sun)),
+        daylight: None,
         frames: frames.into_iter().map(|(frame, _)| frame).collect(),
     }
 }

@@ -37,6 +37,7 @@ pub(super) fn plan_of(
         track_id: object.track_id.clone().unwrap_or_default(),
         beyond_coverage: object.beyond_coverage,
         tone: None,
+        relit: None,
         object: object.asset.map(|asset| object_of(&candidates[asset])),
     });
     SamplePlan {

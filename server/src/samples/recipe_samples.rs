@@ -4,18 +4,19 @@ use std::sync::Arc;
 
 use backlot_engine::asset::AssetKind;
 use backlot_engine::scene::{
-    Candidate, Composition, Draws, InstanceMask, Recipe, RecordedImage, RecordedTrack,
-    RenderOptions, Scene, Stage, Tone, compose, compose_clip, finish, label, match_tones,
-    needs_recorded,
+    Candidate, Composition, Daylight, Draws, InstanceMask, Recipe, RecordedImage, RecordedTrack,
+    RenderOptions, Scene, Stage, SunSource, compose, compose_clip, finish, label, match_tones,
+    needs_recorded, object_lights, relight,
 };
 use backlot_engine::{Asset, Error as EngineError};
+use glam::DVec3;
 
 use super::cache::AssetCache;
 use super::error::{Error, Result};
 use super::library::{self, Objects};
 use super::plan::{SamplePlan, plan_of};
 use super::sample::{
-    FrameObjects, Sample, SampleFrame, SampleObject, boxes, encode_planes, render_class,
+    FrameObjects, Matched, Sample, SampleFrame, SampleObject, boxes, encode_planes, render_class,
 };
 use crate::domain::blob::Digest;
 use crate::domain::ids::AssetId;
@@ -44,6 +45,8 @@ pub struct RecipeRequest {
     pub objects: Vec<AssetId>,
     /// `recipe.objects` holds the same names.
     pub recipe: Recipe,
+    /// Towards the sun; `None` means as the background knows it.
+    pub sun_direction_world: Option<DVec3>,
     pub planes: Planes,
     pub seed: u64,
 }
@@ -113,7 +116,10 @@ impl RecipeSamples {
         let candidates = &self.objects.candidates;
         let seed = self.request.seed;
         let recipe = &self.request.recipe;
-        let compositions = compose_clip(&stage, candidates, recipe, seed, index)?;
+        let mut compositions = compose_clip(&stage, candidates, recipe, seed, index)?;
+        for composition in &mut compositions {
+            composition.daylight = self.daylight(composition);
+        }
         check_pixels(&compositions)?;
         let frames = compositions
             .iter()
@@ -125,10 +131,10 @@ impl RecipeSamples {
             .collect::<Result<Vec<_>>>()?;
         let shown = compositions.iter().zip(&frames);
         let shown: Vec<_> = shown
-            .map(|(composition, (frame, tones))| FrameObjects {
+            .map(|(composition, (frame, matched))| FrameObjects {
                 objects: &composition.objects,
                 labels: &frame.labels,
-                tones,
+                matched,
             })
             .collect();
         let world_from_local = header.local_from_world.inverse();
@@ -141,6 +147,10 @@ impl RecipeSamples {
             boxes,
             world_from_local,
             insert_shadows: compositions[0].insert_shadows,
+            daylight: compositions[0].daylight.map(|day| Daylight {
+                sun_direction_local: world_from_local.direction(day.sun_direction_local),
+                ..day
+            }),
             synthetic: header.synthetic || placed().any(|i| self.objects.objects[i].synthetic),
             has_replay_only: placed().any(|i| !candidates[i].library),
             render_class: render_class(self.cache.backend()),
@@ -149,14 +159,14 @@ impl RecipeSamples {
         })
     }
 
-    /// Renders and labels one frame; returns the tones of its objects with it.
+    /// Renders and labels one frame; returns how its objects' colours were changed with it.
     fn frame(
         &self,
         stage: &Stage<'_>,
         composition: &Composition,
         grain: Draws,
         cancelled: &(dyn Fn() -> bool + Sync),
-    ) -> Result<(SampleFrame, Vec<(u16, Tone)>)> {
+    ) -> Result<(SampleFrame, Matched)> {
         let header = &self.background.header;
         let candidates = &self.objects.candidates;
         let assets = self.load_placed(composition, cancelled)?;
@@ -184,7 +194,12 @@ impl RecipeSamples {
             None => Vec::new(),
         };
         scene.set_tones(&tones);
+        let lights = match self.request.recipe.match_light {
+            true => object_lights(stage, &scene, composition, candidates, &tones),
+            false => Vec::new(),
+        };
         let mut frame = backend.render(&scene, &RenderOptions::default(), cancelled)?;
+        relight(&scene, composition.daylight.as_ref(), &lights, &mut frame);
         let finished = finish(
             stage,
             &scene,
@@ -213,7 +228,22 @@ impl RecipeSamples {
             filled_px: finished.filled_px,
             labels,
         };
-        Ok((frame, tones))
+        Ok((frame, Matched { tones, lights }))
+    }
+
+    /// The sunlight: the recipe's direction with what the background shows of its strength, or all as the background knows it.
+    fn daylight(&self, composition: &Composition) -> Option<Daylight> {
+        let Some(sun) = self.request.sun_direction_world else {
+            return composition.daylight;
+        };
+        let sun = self.background.header.local_from_world.direction(sun);
+        let given = Daylight::clear_sky(sun, SunSource::Recipe)?;
+        let measured = composition.daylight.unwrap_or(given);
+        Some(Daylight {
+            sun_direction_local: given.sun_direction_local,
+            source: given.source,
+            ..measured
+        })
     }
 
     /// The composition's frame as recorded; `None` if nothing of it is to be shown.

@@ -6,7 +6,9 @@ use backlot_engine::backend::Backend;
 use backlot_engine::backend::cpu::Simd;
 use backlot_engine::camera::{Camera, Rigid};
 use backlot_engine::class::ObjectClass;
-use backlot_engine::scene::{FrameLabel, Origin, PlacedObject, RenderedFrame, Tone};
+use backlot_engine::scene::{
+    Daylight, FrameLabel, ObjectLight, Origin, PlacedObject, Relit, RenderedFrame, Tone,
+};
 use bytes::Bytes;
 use glam::DVec3;
 
@@ -28,6 +30,8 @@ pub struct Sample {
     pub rejections: BTreeMap<String, u32>,
     /// Shadows of inserted objects were rendered.
     pub insert_shadows: bool,
+    /// The sunlight of shadows and objects, its direction in the log's world frame.
+    pub daylight: Option<Daylight>,
     /// The background or any object was trained on synthetic images.
     pub synthetic: bool,
     /// An object that is only good near its recorded poses is in the sample.
@@ -70,6 +74,8 @@ pub struct SampleBox {
     pub beyond_coverage: bool,
     /// How its colours were matched to the frame.
     pub tone: Option<Tone>,
+    /// How it was moved into the light of its place.
+    pub relit: Option<Relit>,
     /// `None` for static originals.
     pub object: Option<SampleObject>,
 }
@@ -109,11 +115,19 @@ pub(super) fn encode_planes(
     ])
 }
 
-/// One frame of a sample as its boxes are gathered: the objects in it, the views of those that can be seen, and their tones.
+/// How objects' colours were changed, by instance id.
+#[derive(Debug, Default)]
+pub(super) struct Matched {
+    pub tones: Vec<(u16, Tone)>,
+    pub lights: Vec<ObjectLight>,
+}
+
+/// One frame of a sample as its boxes are gathered: the objects in it, the views of those that can be seen, and how their
+/// colours were changed.
 pub(super) struct FrameObjects<'a> {
     pub objects: &'a [PlacedObject],
     pub labels: &'a [FrameLabel],
-    pub tones: &'a [(u16, Tone)],
+    pub matched: &'a Matched,
 }
 
 /// The boxes of the objects in any frame, in the order in which they come; static ones only where a label says that they can be seen.
@@ -133,7 +147,9 @@ pub(super) fn boxes(
                 known.beyond_coverage |= o.beyond_coverage;
                 continue;
             }
-            let tone = frame.tones.iter().find(|(id, _)| *id == o.instance_id);
+            let Matched { tones, lights } = frame.matched;
+            let tone = tones.iter().find(|(id, _)| *id == o.instance_id);
+            let light = lights.iter().find(|l| l.instance_id == o.instance_id);
             boxes.push(SampleBox {
                 instance_id: o.instance_id,
                 origin: o.origin,
@@ -143,6 +159,7 @@ pub(super) fn boxes(
                 track_id: o.track_id.clone().unwrap_or_default(),
                 beyond_coverage: o.beyond_coverage,
                 tone: tone.map(|(_, tone)| *tone),
+                relit: light.map(ObjectLight::relit),
                 object: o.asset.map(&object_of),
             });
         }

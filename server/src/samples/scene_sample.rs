@@ -7,8 +7,8 @@ use backlot_engine::asset::{AssetKind, Usage};
 use backlot_engine::backend::Backend;
 use backlot_engine::camera::{Camera, Rigid};
 use backlot_engine::scene::{
-    Composition, MAX_OBJECTS, Origin, PlacedObject, RenderOptions, Scene, SceneObject, Tone,
-    ValidRegion, cast_shadows, label, shadow_casters,
+    Composition, Daylight, MAX_OBJECTS, Origin, PlacedObject, Recording, RenderOptions, Scene,
+    SceneObject, Tone, ValidRegion, cast_shadows, label, shadow_casters,
 };
 use glam::{DQuat, DVec2};
 
@@ -17,7 +17,7 @@ use super::error::{Error, Result};
 use super::library;
 use super::recipe_samples::Planes;
 use super::sample::{
-    FrameObjects, Sample, SampleFrame, SampleObject, boxes, encode_planes, render_class,
+    FrameObjects, Matched, Sample, SampleFrame, SampleObject, boxes, encode_planes, render_class,
 };
 use crate::domain::blob::Digest;
 use crate::domain::ids::AssetId;
@@ -80,7 +80,7 @@ pub fn render_scene(
         Some(asset) => asset.header.local_from_world,
         None => Rigid::new(DQuat::IDENTITY, -request.world_from_camera.translation_m),
     };
-    let composition = composition(request, &assets, &local_from_world);
+    let composition = composition(request, background.as_deref(), &assets, &local_from_world);
     let eye = composition.local_from_camera.translation_m;
     let holds_camera = |object: &PlacedObject| object.occupied().contains(eye);
     if let Some(i) = composition.objects.iter().position(holds_camera) {
@@ -105,6 +105,7 @@ pub fn render_scene(
 
 fn composition(
     request: &SceneRequest,
+    background: Option<&Asset>,
     assets: &[Arc<Asset>],
     local_from_world: &Rigid,
 ) -> Composition {
@@ -131,6 +132,9 @@ fn composition(
         left_out: Vec::new(),
         rejections: Default::default(),
         insert_shadows: request.insert_shadows,
+        daylight: background
+            .and_then(|asset| asset.header.recording.as_ref())
+            .and_then(Recording::light),
     }
 }
 
@@ -162,12 +166,12 @@ fn finish(
         local_from_camera: composition.local_from_camera,
     };
     let mut frame = backend.render(&scene, &RenderOptions::default(), cancelled)?;
-    let recording = background.and_then(|asset| asset.header.recording.as_ref());
-    let sun = recording.and_then(|recording| recording.sun_direction_local);
     if request.insert_shadows {
-        let casters = shadow_casters(composition, sun.is_some());
+        // All of them are inserts.
+        let casters = shadow_casters(composition, false);
         let shown = vec![0.0; frame.placed_alpha.len()];
-        cast_shadows(&scene, &casters, sun, &shown, &mut frame);
+        let daylight = composition.daylight.as_ref();
+        cast_shadows(&scene, &casters, daylight, &shown, &mut frame);
     }
     let nowhere = ValidRegion::unseen(DVec2::ZERO, 1.0, 0, 0);
     let region = background.and_then(|asset| asset.header.valid_region.as_ref());
@@ -179,7 +183,7 @@ fn finish(
     let shown = FrameObjects {
         objects: &composition.objects,
         labels: &labels,
-        tones: &[],
+        matched: &Matched::default(),
     };
     let boxes = boxes(&[shown], &world_from_local, |i| SampleObject {
         asset: request.objects[i].asset.to_string(),
@@ -203,6 +207,10 @@ fn finish(
         }],
         world_from_local,
         boxes,
+        daylight: composition.daylight.map(|day| Daylight {
+            sun_direction_local: world_from_local.direction(day.sun_direction_local),
+            ..day
+        }),
         insert_shadows: request.insert_shadows,
         rejections: Default::default(),
         synthetic: used().any(|asset| asset.header.synthetic),

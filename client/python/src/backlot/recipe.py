@@ -26,8 +26,10 @@ class Recipe:
         jitter_heading_rad: maximum in radians about the ground's normal; None means the preset's.
         replace_probability: 0..1, that an original object that can be replaced is.
         drop_originals: leaves recorded movers out; what was never seen under them is in `Frame.ignore_mask`.
-        insert_shadows: casts shadows of inserted objects.
+        insert_shadows: casts shadows of inserted and replacing objects.
         keep_tones: leaves objects of other logs in their own light instead of matching them to the frame.
+        keep_light: leaves inserted objects in the sunlight they were recorded in instead of that of their place.
+        sun_direction_world: (x, y, z) towards the sun; None means the log's own, or as estimated from the background's shadows.
         longer_side_px: output size; 0 means as recorded.
         coverage_slack_rad: radians beyond the observed views; None means the server's default.
         camera_id: camera to render; empty means the background's first.
@@ -60,8 +62,10 @@ class Recipe:
     jitter_heading_rad: float | None = None
     replace_probability: float = 0.0
     drop_originals: bool = False
-    insert_shadows: bool = False
+    insert_shadows: bool = True
     keep_tones: bool = False
+    keep_light: bool = False
+    sun_direction_world: tuple[float, float, float] | None = None
     longer_side_px: int = 0
     coverage_slack_rad: float | None = None
     camera_id: str = ""
@@ -102,6 +106,9 @@ class Recipe:
             weights = fields.pop(name)
             if weights:
                 fields[name] = samples_pb2.Histogram(weights=weights)
+        if self.sun_direction_world is not None:
+            x, y, z = self.sun_direction_world
+            fields["sun_direction_world"] = common_pb2.Vector3(x=x, y=y, z=z)
         return samples_pb2.Recipe(**fields)
 
     def fingerprint(self) -> str:

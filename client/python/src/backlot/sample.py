@@ -123,7 +123,10 @@ class Frame:
 
 @dataclasses.dataclass(frozen=True)
 class Provenance:
-    """Where a sample comes from. `render_class` names build, backend and instruction set: pixels are equal within one."""
+    """Where a sample comes from. `render_class` names build, backend and instruction set: pixels are equal within one.
+
+    `sun_direction_world` is None without a sun; `sun_source` says where it comes from: "RECIPE", "LOG" or "ESTIMATED".
+    """
 
     library_snapshot: str
     background: str
@@ -133,6 +136,8 @@ class Provenance:
     synthetic: bool
     objects: tuple[str, ...]
     weakest_usage: str
+    sun_direction_world: np.ndarray | None = None
+    sun_source: str = "UNSPECIFIED"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -170,9 +175,18 @@ def decode(proto: samples_pb2.Sample) -> Sample:
             synthetic=provenance.synthetic,
             objects=tuple(provenance.objects),
             weakest_usage=asset_usage(provenance.weakest_usage),
+            sun_direction_world=_sun_direction(provenance),
+            sun_source=enum_name(samples_pb2.SunSource, "SUN_SOURCE_", provenance.sun_source),
         ),
         rejections=dict(proto.rejections),
     )
+
+
+def _sun_direction(provenance: samples_pb2.SampleProvenance) -> np.ndarray | None:
+    if not provenance.HasField("sun_direction_world"):
+        return None
+    sun = provenance.sun_direction_world
+    return np.array([sun.x, sun.y, sun.z])
 
 
 def _box_3d(proto: samples_pb2.SampleBox) -> Box3D:

@@ -297,6 +297,12 @@ pub(crate) struct AugmentOptions {
     /// Keep the light that objects of other logs were recorded in.
     #[arg(long)]
     pub keep_tones: bool,
+    /// Keep the sunlight that inserted objects were recorded in instead of that of their place.
+    #[arg(long)]
+    pub keep_light: bool,
+    /// Direction towards the sun in the log's world frame; by default the log's, or as its shadows tell.
+    #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true)]
+    pub sun: Option<String>,
     /// Size of the longer side of the images; by default as recorded.
     #[arg(long, value_name = "PIXELS", default_value_t = 0)]
     pub longer_side: u32,
@@ -431,6 +437,9 @@ pub(crate) struct DemoOptions {
     /// What renders: auto, cpu, gpu, gpu:NUMBER or gpu:NAME as `backlot devices` lists them.
     #[arg(long, value_name = "DEVICE", default_value = "auto")]
     pub device: DeviceChoice,
+    /// Direction towards the sun in the log's world frame; by default the log's, or as its shadows tell.
+    #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true)]
+    pub sun: Option<String>,
     /// Samples to render; the paper makes 12 of each background.
     #[arg(long, default_value_t = 12)]
     pub count: u64,

@@ -77,10 +77,25 @@ pub(crate) async fn stream(
     Ok(samples)
 }
 
+/// Three numbers separated by commas.
+pub(crate) fn sun_direction(text: &str) -> anyhow::Result<v1::Vector3> {
+    let numbers: Result<Vec<f64>, _> = text.split(',').map(|part| part.trim().parse()).collect();
+    match numbers.as_deref() {
+        Ok([x, y, z]) => Ok(v1::Vector3 {
+            x: *x,
+            y: *y,
+            z: *z,
+        }),
+        _ => anyhow::bail!("--sun {text} is not X,Y,Z"),
+    }
+}
+
 fn recipe(options: &AugmentOptions) -> anyhow::Result<v1::Recipe> {
     let background = names::asset(&options.background)?;
     Ok(v1::Recipe {
-        insert_shadows: !options.no_shadows,
+        insert_shadows: Some(!options.no_shadows),
+        keep_light: options.keep_light,
+        sun_direction_world: options.sun.as_deref().map(sun_direction).transpose()?,
         keep_tones: options.keep_tones,
         longer_side_px: options.longer_side,
         omit_depth: options.no_depth,

@@ -4,7 +4,7 @@ use backlot_engine::asset::{AssetHeader, AssetKind, ColorSpace, FORMAT_VERSION, 
 use backlot_engine::backend::cpu::CpuBackend;
 use backlot_engine::camera::Rigid;
 use backlot_engine::class::ObjectClass;
-use backlot_engine::scene::ValidRegion;
+use backlot_engine::scene::{ValidRegion, measure_daylight};
 use backlot_engine::train::train_background;
 use backlot_engine::{Asset, Field};
 use glam::DVec3;
@@ -49,8 +49,9 @@ pub(super) fn run(
         1,
         "finding the valid region",
     );
-    let recording = recording(log);
+    let mut recording = recording(log);
     let region = ValidRegion::build(&trained.field, &recording, &plan.region);
+    recording.daylight = measure_daylight(&trained.field, &recording, &region);
     if region.free_cells().next().is_none() {
         warnings.push("no free ground was found: nothing can be inserted".to_owned());
     }

@@ -171,9 +171,12 @@ async fn render_samples(
     let recipe = v1::Recipe {
         background: library.background.name.clone(),
         objects: placeable.iter().map(|asset| asset.name.clone()).collect(),
+        sun_direction_world: options
+            .sun
+            .as_deref()
+            .map(augment::sun_direction)
+            .transpose()?,
         replace_probability: if recorded { REPLACE_PROBABILITY } else { 0.0 },
-        // The exact counterparts of a generated log are without them too, so that both can be compared.
-        insert_shadows: recorded,
         ..Default::default()
     };
     let request = v1::StreamSamplesRequest {
