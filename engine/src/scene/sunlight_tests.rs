@@ -1,4 +1,4 @@
-//! Sunlight on an analytic road between two walls whose shadows are painted on it, given to placed objects.
+//! Sunlight on an analytic road between two walls whose shadows are painted on it: measured, estimated, and given to placed objects.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -78,6 +78,46 @@ fn recording() -> Recording {
     let parked = street_car(&recording, "parked", DVec3::new(14.0, -6.0, 0.75), false);
     recording.tracks.push(parked);
     recording
+}
+
+fn degrees_between(a: DVec3, b: DVec3) -> f64 {
+    a.normalize()
+        .dot(b.normalize())
+        .clamp(-1.0, 1.0)
+        .acos()
+        .to_degrees()
+}
+
+#[test]
+fn the_sun_is_found_in_the_shadows_on_the_ground() {
+    let (recording, region) = (recording(), region());
+    let found = measure_daylight(&road(Some(SUN)), &recording, &region).expect("there are shadows");
+    assert_eq!(found.source, SunSource::Estimated);
+    let off = degrees_between(found.sun_direction_local, SUN);
+    assert!(off < 12.0, "{off} degrees off: {found:?}");
+    for share in found.sun_share {
+        assert!((share - (1.0 - SHADE)).abs() < 0.1, "{share}");
+    }
+    // Painted for another sun, the ground tells of that one; without shadows it tells of none.
+    let other = DVec3::new(0.6, 0.5, 0.6);
+    let elsewhere = measure_daylight(&road(Some(other)), &recording, &region);
+    let off = elsewhere.map_or(90.0, |day| degrees_between(day.sun_direction_local, SUN));
+    assert!(off > 25.0, "{off}");
+    assert_eq!(measure_daylight(&road(None), &recording, &region), None);
+}
+
+#[test]
+fn a_given_sun_is_kept_and_its_strength_measured_where_shadows_show() {
+    let (mut recording, region) = (recording(), region());
+    recording.sun_direction_local = Some(SUN);
+    let day = measure_daylight(&road(Some(SUN)), &recording, &region).expect("given");
+    assert_eq!(day.source, SunSource::Log);
+    assert!((day.sun_share[1] - (1.0 - SHADE)).abs() < 0.1, "{day:?}");
+    let [shade, sun] = day.ground_ln_light.expect("both kinds of ground");
+    assert!(((shade - sun).exp() - SHADE).abs() < 0.1);
+    let plain = measure_daylight(&road(None), &recording, &region).expect("given");
+    assert_eq!(plain.ground_ln_light, None);
+    assert_eq!(plain.sun_share, [0.7; 3]);
 }
 
 struct Shot {
