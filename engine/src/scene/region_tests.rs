@@ -3,12 +3,12 @@
 use glam::{DVec2, DVec3};
 
 use super::box_world::{BoxWorld, drive};
-use super::density::{DensityField, HALF_TAU};
 use super::region_builder::RegionConfig;
 use super::valid_region::{Cell, ValidRegion};
 
 const SLOPE: f64 = 0.05;
 const VOXEL_M: f32 = 0.25;
+const EDGE_M: f64 = 0.12;
 
 pub(super) fn street() -> BoxWorld {
     BoxWorld {
@@ -33,16 +33,19 @@ pub(super) fn config() -> RegionConfig {
     }
 }
 
-/// What each cell must be, from the definition and sight lines that share no code with the region's, down to the ground it found
-/// (which the caller compares with the world's).
+/// What each cell must be, from the definition and sight lines that share no code with the region's; `seen` holds what hides.
 pub(super) fn expected(
     world: &BoxWorld,
-    density: &dyn DensityField,
+    seen: &BoxWorld,
     region: &ValidRegion,
     config: &RegionConfig,
 ) -> Vec<Cell> {
     let recording = drive(SLOPE, 31, 1.0);
-    let sight = Sight::new(world, density);
+    let is_open = |eye: DVec3, target: DVec3, slack_m: f64| {
+        let offset = target - eye;
+        let reach = offset.length() - slack_m;
+        seen.trace(eye, offset.normalize(), reach).is_none()
+    };
     let inside = |c: DVec2| {
         let mut boxes = world.boxes.iter();
         boxes.any(|(low, high)| c.x > low.x && c.x < high.x && c.y > low.y && c.y < high.y)
@@ -61,8 +64,8 @@ pub(super) fn expected(
                 pixel.is_some_and(|px| px.x >= 0.0 && px.x < 640.0 && px.y >= 0.0 && px.y < 384.0);
             in_image
                 && (3.0..config.view_range_m).contains(&(ground - eye).length())
-                && sight.is_open(eye, ground, 0.1)
-                && sight.is_open(eye, ground + DVec3::Z * 0.8, 0.3)
+                && is_open(eye, ground, 0.1)
+                && is_open(eye, ground + DVec3::Z * 0.8, 0.3)
         });
         views.count() >= config.min_views
     };
@@ -75,8 +78,7 @@ pub(super) fn expected(
                 Cell::Unseen
             } else if !in_clear_pillar(c) {
                 Cell::Blocked
-            } else if region.ground_m[cell].is_finite() && is_seen(c.extend(region.ground_m[cell]))
-            {
+            } else if is_seen(c.extend(world.ground(c.x))) {
                 Cell::Free
             } else {
                 Cell::Unseen
@@ -85,49 +87,12 @@ pub(super) fn expected(
         .collect()
 }
 
-/// Sight lines through the world's boxes; those that graze one are decided by summing up the density in small steps.
-struct Sight<'a> {
-    slim: BoxWorld,
-    stout: BoxWorld,
-    density: &'a dyn DensityField,
-}
-
-/// Nearer to a box's surface than this, a line grazes it.
-const GRAZE_M: f64 = 0.06;
-const SUM_STEP_M: f64 = 0.005;
-
-impl<'a> Sight<'a> {
-    fn new(world: &BoxWorld, density: &'a dyn DensityField) -> Self {
-        let grown = |by: f64| BoxWorld {
-            boxes: world
-                .boxes
-                .iter()
-                .map(|(a, b)| (*a - by, *b + by))
-                .collect(),
-            ..*world
-        };
-        Self {
-            slim: grown(-GRAZE_M),
-            stout: grown(GRAZE_M),
-            density,
-        }
-    }
-
-    fn is_open(&self, eye: DVec3, target: DVec3, slack_m: f64) -> bool {
-        let offset = target - eye;
-        let (reach, direction) = (offset.length() - slack_m, offset.normalize());
-        if self.stout.trace(eye, direction, reach).is_none() {
-            return true;
-        }
-        if self.slim.trace(eye, direction, reach).is_some() {
-            return false;
-        }
-        let steps = (reach / SUM_STEP_M) as u32;
-        let at = |i: u32| eye + direction * ((f64::from(i) + 0.5) * SUM_STEP_M);
-        let tau: f64 = (0..steps)
-            .map(|i| self.density.sigma(at(i)) * SUM_STEP_M)
-            .sum();
-        tau < HALF_TAU
+/// The same boxes, grown by this much on all sides.
+fn grown(world: &BoxWorld, by_m: f64) -> BoxWorld {
+    let boxes = world.boxes.iter();
+    BoxWorld {
+        boxes: boxes.map(|(a, b)| (*a - by_m, *b + by_m)).collect(),
+        ..*world
     }
 }
 
@@ -152,10 +117,17 @@ fn a_voxelised_street_gives_exactly_the_expected_map() {
     let (world, config) = (street(), config());
     let field = world.voxelised(VOXEL_M);
     let region = ValidRegion::build(&field, &drive(SLOPE, 31, 1.0), &config);
-    let expected = expected(&world, &field, &region, &config);
+    // Voxels round the edges of things: lines that pass an edge nearer than half a voxel may be decided either way.
+    let hidden_by = |by_m: f64| expected(&world, &grown(&world, by_m), &region, &config);
+    let (expected, strict) = (hidden_by(-EDGE_M), hidden_by(EDGE_M));
+    let is_decided = |i: usize| (expected[i] == Cell::Free) == (strict[i] == Cell::Free);
+    let undecided = (0..expected.len()).filter(|i| !is_decided(*i)).count();
+    assert!(undecided < 120, "{undecided} undecided cells");
     // Cells in the interior of things were never reached from the road; whether they say blocked or unseen is the same: not free.
     let differs = |i: &usize| (region.cells[*i] == Cell::Free) != (expected[*i] == Cell::Free);
-    let wrong: Vec<usize> = (0..expected.len()).filter(differs).collect();
+    let wrong: Vec<usize> = (0..expected.len())
+        .filter(|i| is_decided(*i) && differs(i))
+        .collect();
     assert!(
         wrong.is_empty(),
         "{} cells differ, first at {:?}\n{}\n{}",
