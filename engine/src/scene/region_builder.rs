@@ -72,8 +72,8 @@ const PAPER_PILLAR_M: f64 = 2.0;
 /// What one of the paper's units stands for here, in 1/m.
 ///
 /// 30 units are then 4/m: a base voxel of 0.25 m that hides 63 % of what is behind it, which is a thing. 15 units are 2/m: a pillar
-/// that lets 2 % of the light through its 2 m. The unit is calibrated on driven road and on labelled parked cars of trained
-/// backgrounds, see docs/placement.md.
+/// that lets 2 % of the light through its 2 m. `examples/region_thresholds.rs` shows what the thresholds separate on trained
+/// backgrounds.
 const UNIT_PER_M: f64 = 4.0 / 30.0;
 
 impl RegionConfig {
