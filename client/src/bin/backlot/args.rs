@@ -41,7 +41,7 @@ pub(crate) enum Command {
     #[command(subcommand)]
     Assets(AssetsCommand),
     /// Render labelled samples from a background and the library's objects.
-    Augment(AugmentOptions),
+    Augment(Box<AugmentOptions>),
     /// List what this machine can compute on: GPUs with their limits, and the processor.
     Devices,
     /// Run everything once with an embedded server: a log goes in, labelled samples come out.
