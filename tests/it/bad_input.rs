@@ -82,13 +82,24 @@ async fn the_command_line_names_the_cause_and_fails() {
     std::fs::create_dir_all(empty.join("image_02/data")).unwrap();
     std::fs::write(empty.join("image_02/data/0000000000.png"), b"not an image").unwrap();
     let path = empty.to_str().unwrap();
+    let out_of = folder.path().to_str().unwrap();
     let out = folder.path().join("out");
     let out = out.to_str().unwrap();
-    let cases: [(&str, &[&str], &[&str]); 5] = [
+    let cases: [(&str, &[&str], &[&str]); 7] = [
         (
             "unknown format",
+            &["logs", "upload", "--format", "once", "--name", "x", path],
+            &["once", "kitti-raw"],
+        ),
+        (
+            "another data set",
             &["logs", "upload", "--format", "waymo", "--name", "x", path],
-            &["waymo", "kitti-raw"],
+            &["camera_image", path],
+        ),
+        (
+            "no known layout",
+            &["logs", "upload", "--name", "x", out_of],
+            &[out_of, "nuscenes"],
         ),
         (
             "missing calibration",
