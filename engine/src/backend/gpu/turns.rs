@@ -23,7 +23,8 @@ pub(super) struct Turns {
     waiting: Vec<(u64, Priority)>,
     holder: Option<u64>,
     next_ticket: u64,
-    /// Renders since training last had a turn while it waited.
+    /// Renders since training last had a turn, up to [`RENDERS_IN_A_ROW`]: the one that begins while training is about to ask again
+    /// counts as well.
     in_a_row: u32,
 }
 
@@ -67,9 +68,13 @@ impl Turns {
                     training
                 }
             }
-            (Some(only), None) | (None, Some(only)) => {
+            (Some(render), None) => {
+                self.in_a_row = (self.in_a_row + 1).min(RENDERS_IN_A_ROW);
+                render
+            }
+            (None, Some(training)) => {
                 self.in_a_row = 0;
-                only
+                training
             }
             (None, None) => return,
         };

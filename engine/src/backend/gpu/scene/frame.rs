@@ -17,8 +17,8 @@ use crate::backend::gpu::march::{march_buffers, march_kernel, to_device};
 use crate::backend::gpu::turns::Priority;
 use crate::scene::TileResult;
 
-/// Side of a tile: 1024 rays where an object takes four a pixel, the least a batch can be.
-const TILE_PX: u32 = 16;
+/// Side of a tile: 1024 rays where a small object takes sixteen a pixel, the least a batch can be.
+const TILE_PX: u32 = 8;
 /// Rays of one dispatch that answers questions about static objects.
 const QUESTIONS_PER_DISPATCH: usize = 1 << 14;
 
