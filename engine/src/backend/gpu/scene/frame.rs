@@ -17,8 +17,8 @@ use crate::backend::gpu::march::{march_buffers, march_kernel, to_device};
 use crate::backend::gpu::turns::Priority;
 use crate::scene::TileResult;
 
-/// Side of a tile: 1024 rays where a small object takes sixteen a pixel, the least a batch can be.
-const TILE_PX: u32 = 8;
+/// Side of a tile, the least a batch can be: 256 rays and as many pairs with each object where small objects take sixteen a pixel.
+const TILE_PX: u32 = 4;
 /// Rays of one dispatch that answers questions about static objects.
 const QUESTIONS_PER_DISPATCH: usize = 1 << 14;
 
