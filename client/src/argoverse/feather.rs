@@ -20,8 +20,8 @@ use crate::read_log::{Error, Result};
 
 /// Largest file; a sweep has about 1 MB, the annotations of a log a few.
 const MAX_FILE_BYTES: u64 = 256 << 20;
-/// What one batch of rows may unpack to.
-const MAX_BATCH_BYTES: u64 = 512 << 20;
+/// What the rows of a file may unpack to.
+const MAX_UNPACKED_BYTES: u64 = 512 << 20;
 const MAX_ROWS: i64 = 20_000_000;
 /// Bytes after the footer: its length and the magic number.
 const TRAILER_BYTES: usize = 10;
@@ -168,9 +168,10 @@ fn decode(content: Buffer, wanted: &[&str]) -> Result<Vec<RecordBatch>, String> 
     let decoder =
         FileDecoder::new(Arc::clone(&schema), footer.version()).with_projection(projection);
     let mut batches = Vec::new();
+    let mut unpacked_bytes = 0;
     for block in footer.recordBatches().iter().flatten() {
         let bytes = block_bytes(&content, block)?;
-        check_lengths(&bytes, block)?;
+        check_lengths(&bytes, block, &mut unpacked_bytes)?;
         let batch = decoder
             .read_record_batch(block, &bytes)
             .map_err(|e| e.to_string())?;
@@ -212,7 +213,8 @@ fn block_bytes(content: &Buffer, block: &Block) -> Result<Buffer, String> {
     Ok(content.slice_with_length(offset, length))
 }
 
-fn check_lengths(bytes: &Buffer, block: &Block) -> Result<(), String> {
+/// Adds what the block unpacks to, and refuses it if that is too much for one file.
+fn check_lengths(bytes: &Buffer, block: &Block, unpacked_bytes: &mut u64) -> Result<(), String> {
     let (metadata, body) = bytes.split_at(block.metaDataLength() as usize);
     // Since format V5 a marker of four 0xff stands before the length.
     let skip = if metadata.starts_with(&[0xff; 4]) {
@@ -231,7 +233,6 @@ fn check_lengths(bytes: &Buffer, block: &Block) -> Result<(), String> {
             batch.length()
         ));
     }
-    let mut unpacked_bytes = 0_u64;
     for buffer in batch.buffers().iter().flatten() {
         let range = usize::try_from(buffer.offset())
             .ok()
@@ -250,11 +251,11 @@ fn check_lengths(bytes: &Buffer, block: &Block) -> Result<(), String> {
             (Some(_), Some(declared)) if declared > 0 => declared as u64,
             _ => length as u64,
         };
-        unpacked_bytes = unpacked_bytes.saturating_add(unpacked);
+        *unpacked_bytes = unpacked_bytes.saturating_add(unpacked);
     }
-    if unpacked_bytes > MAX_BATCH_BYTES {
+    if *unpacked_bytes > MAX_UNPACKED_BYTES {
         return Err(format!(
-            "unpacks to {unpacked_bytes} bytes, at most {MAX_BATCH_BYTES} are accepted"
+            "unpacks to {unpacked_bytes} bytes, at most {MAX_UNPACKED_BYTES} are accepted"
         ));
     }
     Ok(())

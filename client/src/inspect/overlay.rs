@@ -167,6 +167,7 @@ fn draw_tracks(
     camera: &Camera,
     camera_from_world: &Rigid,
 ) {
+    let size_px = DVec2::new(image.width().into(), image.height().into());
     for track in &log.tracks {
         let Some(pose) = track_pose_at(track, timestamp_ns) else {
             continue;
@@ -178,7 +179,7 @@ fn draw_tracks(
         let top = camera_from_cuboid.point(DVec3::Z * (size_m.z / 2.0));
         if let Some(at) = camera
             .project(top)
-            .filter(|at| at.cmpge(DVec2::splat(12.0)).all())
+            .filter(|at| at.cmpge(DVec2::splat(12.0)).all() && at.cmplt(size_px).all())
         {
             let name: String = track.track_id.chars().take(8).collect();
             draw_text(image, at.x as u32, at.y as u32 - 12, 2, color, &name);

@@ -9,7 +9,7 @@ pub type Result<T, E = Error> = std::result::Result<T, E>;
 /// Every message starts with the path it is about.
 #[derive(Debug, thiserror::Error)]
 pub enum Error {
-    #[error("{}: not found; {hint}", path.display())]
+    #[error("{}: not found{}{hint}", path.display(), if hint.is_empty() { "" } else { "; " })]
     Missing { path: PathBuf, hint: String },
     #[error("{}: {source}", path.display())]
     Io {

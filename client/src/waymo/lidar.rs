@@ -128,7 +128,8 @@ impl Grid {
         }
         let [height, width, depth] = row.array::<3>(shape)?;
         let count = height * width * channels as f64;
-        let fits = depth == channels as f64 && width >= 1.0 && count == numbers.len() as f64;
+        let whole = width >= 1.0 && width.fract() == 0.0 && height.fract() == 0.0;
+        let fits = whole && depth == channels as f64 && count == numbers.len() as f64;
         if !fits {
             return Err(row.bad(format!(
                 "{values} has {} values, its shape is {height} x {width} x {depth}",

@@ -28,12 +28,11 @@ pub(crate) async fn run(
         "{name} is an object: only backgrounds have a valid region"
     );
     let payload = record.payload.clone().context("the asset has no payload")?;
-    let file = options.out.with_extension("asset");
+    let folder = tempfile::tempdir().context("making a temporary folder")?;
+    let file = folder.path().join("background.asset");
     download_blob(connection, &payload, &file).await?;
-    let bytes = std::fs::read(&file).with_context(|| format!("reading {}", file.display()));
-    std::fs::remove_file(&file)
-        .with_context(|| format!("removing the downloaded {}", file.display()))?;
-    let asset = Asset::decode(&bytes?)?;
+    let bytes = std::fs::read(&file).with_context(|| format!("reading {}", file.display()))?;
+    let asset = Asset::decode(&bytes)?;
     ensure!(
         asset.header.kind == AssetKind::Background,
         "{name} does not hold a background"
