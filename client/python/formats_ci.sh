@@ -8,15 +8,7 @@ if [ -z "${BACKLOT_SERVER:-}" ]; then exec "$here/with_street.sh" "$programs" "$
 scratch=$(mktemp -d)
 trap 'rm -rf "$scratch"' EXIT
 
-# nuscenes-devkit needs numpy 1, which has no wheels from Python 3.13 on; the pinned scipy has none before 3.11.
-python3=
-for candidate in python3 python3.12 python3.11; do
-  if command -v "$candidate" >/dev/null && "$candidate" -c 'import sys; sys.exit(not (3, 11) <= sys.version_info < (3, 13))'; then
-    python3=$candidate
-    break
-  fi
-done
-[ -n "$python3" ] || { echo "reading labels back needs Python 3.11 or 3.12" >&2; exit 1; }
+python3=$("$here/kit_python.sh")
 "$python3" -m venv "$scratch/venv"
 python=$scratch/venv/bin/python
 export PIP_DISABLE_PIP_VERSION_CHECK=1

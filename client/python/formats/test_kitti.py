@@ -40,14 +40,14 @@ def faults(folder):
         ignored = [line for line in lines if line["name"] == "DontCare"]
         lines = [line for line in lines if line["name"] != "DontCare"]
         shown = list(truth.shown.values())
-        if len(lines) != len(shown) or len(boxes) > len(shown):
+        placed = [own for own in shown if own.name != "Misc"]
+        if len(lines) != len(shown) or len(boxes) != len(placed):
             found.append(f"{truth.stem}: {len(lines)} objects of {len(shown)}")
             continue
         if ignored and truth.ignore is None:
             found.append(f"{truth.stem}: ignores what is known")
         for line, own in zip(lines, shown):
             found += line_faults(truth, line, own, projection)
-        placed = [own for own in shown if own.name != "Misc"]
         for box, own in zip(boxes, placed):
             if farthest(box.corners().T, corners(own.ego, own.size)) > CORNERS:
                 found.append(f"{truth.stem}: cuboid of {own.id}")

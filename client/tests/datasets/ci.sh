@@ -6,7 +6,8 @@ datasets=$(cd "$1" && pwd)
 scratch=$(mktemp -d)
 trap 'rm -rf "$scratch"' EXIT
 
-python3 -m venv "$scratch/venv"
+python3=$("$here/../../python/kit_python.sh")
+"$python3" -m venv "$scratch/venv"
 python=$scratch/venv/bin/python
 export PIP_DISABLE_PIP_VERSION_CHECK=1
 "$python" -m pip install --quiet --requirement "$here/requirements.txt"

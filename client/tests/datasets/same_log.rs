@@ -46,7 +46,9 @@ impl Deviation {
     fn pose(&mut self, a: &Rigid, b: &Rigid) {
         let moved = a.translation_m.distance(b.translation_m);
         self.position_m = self.position_m.max(moved);
-        let turned = 2.0 * (a.rotation.conjugate() * b.rotation).xyz().length().asin();
+        assert!(moved.is_finite(), "a pose is not finite");
+        let half_sine = (a.rotation.conjugate() * b.rotation).xyz().length();
+        let turned = 2.0 * half_sine.min(1.0).asin();
         self.angle_rad = self.angle_rad.max(turned);
     }
 }
@@ -143,9 +145,11 @@ fn compare_tracks(a: &v1::DriveLog, b: &v1::DriveLog, how: &Comparison<'_>, d: &
                     .into_iter()
                     .zip(corners_px(b, read_camera, read, &got, read_at))
                 {
-                    if let (Some(p), Some(q)) = pair {
-                        d.corner_px = d.corner_px.max(p.distance(q));
-                    }
+                    d.corner_px = match pair {
+                        (Some(p), Some(q)) => d.corner_px.max(p.distance(q)),
+                        (None, None) => d.corner_px,
+                        _ => f64::INFINITY,
+                    };
                 }
             }
         }
@@ -174,7 +178,7 @@ pub(crate) fn corners_px(
 type Flaw = fn(&mut v1::DriveLog);
 
 /// Logs that differ from the right one by little more than what is allowed: each must be told apart.
-pub(crate) const FLAWS: [(&str, Flaw); 7] = [
+pub(crate) const FLAWS: [(&str, Flaw); 8] = [
     ("ego 2 mm off", |log| {
         for pose in &mut log.world_from_ego {
             shift(&mut pose.pose, DVec3::new(0.0, 2e-3, 0.0));
@@ -200,6 +204,13 @@ pub(crate) const FLAWS: [(&str, Flaw); 7] = [
     ("principal point half a pixel off", |log| {
         for camera in &mut log.cameras {
             camera.principal_x_px += 0.5;
+        }
+    }),
+    ("cameras that look back", |log| {
+        for camera in &mut log.cameras {
+            let pose = rigid_from_wire(camera.ego_from_camera.as_ref());
+            let back = Rigid::from_heading(std::f64::consts::PI, DVec3::ZERO);
+            camera.ego_from_camera = Some(backlot_client::geometry::rigid_to_wire(&(back * pose)));
         }
     }),
     ("length and width exchanged", |log| {
