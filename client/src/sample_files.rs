@@ -10,7 +10,7 @@ use serde::Serialize;
 use crate::error::{Error, Result};
 use crate::labels::{
     CocoSet, NUSCENES_MAP, NUSCENES_VERSION, NuscenesTables, kitti_calibration, kitti_labels,
-    kitti_tracking_labels, sample_record, waymo_components, waymo_segment,
+    kitti_tracking_labels, pretty, sample_record, waymo_components, waymo_segment,
 };
 
 /// Forms in which labels are written.
@@ -213,12 +213,6 @@ fn bad_mask(sample: &v1::Sample, error: &image::ImageError) -> Error {
         doing: format!("writing labels of sample {}", sample.index),
         what: format!("the ignore mask does not decode: {error}"),
     }
-}
-
-fn pretty(value: &impl Serialize) -> String {
-    let mut text = serde_json::to_string_pretty(value).expect("records have string keys");
-    text.push('\n');
-    text
 }
 
 #[cfg(test)]

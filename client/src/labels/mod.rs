@@ -62,3 +62,10 @@ pub fn origin_name(origin: v1::BoxOrigin) -> &'static str {
         v1::BoxOrigin::Moved => "moved",
     }
 }
+
+/// JSON as files hold it.
+pub(crate) fn pretty(value: &impl serde::Serialize) -> String {
+    let mut text = serde_json::to_string_pretty(value).expect("records have string keys");
+    text.push('\n');
+    text
+}

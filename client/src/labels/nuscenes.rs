@@ -7,7 +7,7 @@ use backlot_proto::v1;
 use serde::Serialize;
 
 use super::token::token;
-use super::{boxes_of, origin_name};
+use super::{boxes_of, origin_name, pretty};
 use crate::geometry::{rigid_from_wire, vector_from_wire};
 
 /// The tables of a set, gathered sample by sample: a sample of the recipe is a scene, its frames are the scene's key frames.
@@ -367,19 +367,19 @@ impl NuscenesTables {
             rows.collect::<Vec<_>>()
         };
         vec![
-            ("category.json", table(&named("category", &CATEGORIES))),
-            ("attribute.json", table(&named("attribute", &ATTRIBUTES))),
-            ("visibility.json", table(&VISIBILITIES)),
-            ("instance.json", table(&self.instance)),
-            ("sensor.json", table(&rows(&self.sensor))),
-            ("calibrated_sensor.json", table(&self.calibrated_sensor)),
-            ("ego_pose.json", table(&self.ego_pose)),
-            ("log.json", table(&rows(&self.log))),
-            ("scene.json", table(&self.scene)),
-            ("sample.json", table(&self.sample)),
-            ("sample_data.json", table(&self.sample_data)),
-            ("sample_annotation.json", table(&self.sample_annotation)),
-            ("map.json", table(&rows(&self.map))),
+            ("category.json", pretty(&named("category", &CATEGORIES))),
+            ("attribute.json", pretty(&named("attribute", &ATTRIBUTES))),
+            ("visibility.json", pretty(&VISIBILITIES)),
+            ("instance.json", pretty(&self.instance)),
+            ("sensor.json", pretty(&rows(&self.sensor))),
+            ("calibrated_sensor.json", pretty(&self.calibrated_sensor)),
+            ("ego_pose.json", pretty(&self.ego_pose)),
+            ("log.json", pretty(&rows(&self.log))),
+            ("scene.json", pretty(&self.scene)),
+            ("sample.json", pretty(&self.sample)),
+            ("sample_data.json", pretty(&self.sample_data)),
+            ("sample_annotation.json", pretty(&self.sample_annotation)),
+            ("map.json", pretty(&rows(&self.map))),
         ]
     }
 }
@@ -497,10 +497,4 @@ fn neighbour(tokens: &[String], at: Option<usize>) -> String {
 
 fn rows<T>(by_token: &BTreeMap<String, T>) -> Vec<&T> {
     by_token.values().collect()
-}
-
-fn table(rows: &impl Serialize) -> String {
-    let mut text = serde_json::to_string_pretty(rows).expect("records have string keys");
-    text.push('\n');
-    text
 }
