@@ -43,7 +43,7 @@ fn main() -> anyhow::Result<()> {
         print_quantiles(name, "mean", pillars.iter().map(|p| p.mean).collect());
     }
     for (name, config) in [
-        ("calibrated", RegionConfig::default()),
+        ("default", RegionConfig::default()),
         ("paper, raw, 0.25 m", RegionConfig::paper(0.25)),
         ("paper, raw, 0.1 m", RegionConfig::paper(0.1)),
     ] {

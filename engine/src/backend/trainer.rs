@@ -72,6 +72,9 @@ impl Trainer {
         self.steps += 1;
         match &mut self.on {
             On::Cpu(trainer) => {
+                if cancelled() {
+                    return Err(Error::Cancelled);
+                }
                 let losses = RayLosses {
                     depth_trim_m: self.depth_trim_m.unwrap_or(losses.depth_trim_m),
                     ..*losses

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use super::composition::{
-    Candidate, Composition, PlacedObject, Stage, compose_first, show_original,
+    Candidate, Composition, PlacedObject, Stage, compose_first, in_image, show_original,
 };
 use super::movement::ClipSpace;
 use super::placement::beyond_coverage;
@@ -13,7 +13,7 @@ use crate::Result;
 /// Composes every frame of sample `index` of a recipe, in the order of time. Bit-equal on every machine.
 ///
 /// An object keeps its instance id through all frames. The first frame is [`super::compose`]'s and carries the rejections of the whole
-/// clip: an object is placed only if it stands on free ground and touches nothing at any time of it.
+/// clip: an object is placed only if it stands on free ground and touches nothing at any tested time of it.
 ///
 /// # Errors
 /// As [`super::compose`].
@@ -63,7 +63,8 @@ fn later_frame(
         let Some(mut object) = clip.at_frame(movement, k) else {
             continue;
         };
-        object.beyond_coverage = beyond_coverage(library, recipe, recorded, &object);
+        object.beyond_coverage = in_image(&later, &object.occupied())
+            && beyond_coverage(library, recipe, recorded, &object);
         later.objects.push(object);
     }
     later

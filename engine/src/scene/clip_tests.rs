@@ -209,8 +209,8 @@ fn objects_of_a_clip_touch_nothing_at_any_time() {
 #[test]
 fn blind_driving_is_found() {
     let street = Street::new();
-    let mut found = 0;
-    for index in 0..60 {
+    let (mut crashed, mut floating) = (0, 0);
+    for (index, rise) in (0..60).flat_map(|index| [(index, SLOPE), (index, 0.0)]) {
         let mut frames = street.clip(&clip_recipe(12, 2, [3.0, 9.0]), index);
         let start = frames[0].objects.clone();
         for (k, frame) in frames.iter_mut().enumerate() {
@@ -221,15 +221,18 @@ fn blind_driving_is_found() {
             {
                 let first = start.iter().find(|o| o.instance_id == object.instance_id);
                 let pose = first.expect("inserts are in every frame").local_from_object;
-                // Backwards through the ego, and level where the street rises.
+                // Backwards through the ego: along the street, or level where it rises.
                 let way = -12.0 * k as f64 * 0.2;
-                object.local_from_object =
-                    Rigid::from_heading(pose.heading_rad(), pose.translation_m + DVec3::X * way);
+                let by = DVec3::new(way, 0.0, rise * way);
+                object.local_from_object = Rigid::new(pose.rotation, pose.translation_m + by);
             }
         }
-        found += usize::from(!faults(&street, &frames).is_empty());
+        let faults = faults(&street, &frames);
+        crashed += usize::from(rise > 0.0 && faults.iter().any(|f| f.contains("overlap")));
+        floating += usize::from(rise == 0.0 && faults.iter().any(|f| f.contains("float")));
     }
-    assert!(found > 40, "{found} of 60");
+    println!("{crashed} crash and {floating} float of 60");
+    assert!(crashed > 45 && floating > 55, "{crashed}, {floating} of 60");
 }
 
 #[test]

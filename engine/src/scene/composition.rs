@@ -102,7 +102,7 @@ pub struct PlacedObject {
     pub asset: Option<usize>,
     /// Originals: their track. Replaced: the track whose slot it is.
     pub track_id: Option<String>,
-    /// Seen from a side that was never observed (paper presets, given poses and later frames of clips only).
+    /// Seen from a side that was never observed (paper presets, given poses, and slots in later frames of clips only).
     pub beyond_coverage: bool,
     /// In the local frame; `None` where the log does not tell.
     pub velocity_mps: Option<DVec3>,
@@ -318,7 +318,7 @@ fn eligible_frames(recording: &Recording, recipe: &Recipe) -> Result<Vec<usize>>
     let frames: Vec<usize> = frames.into_iter().filter(starts).collect();
     if frames.is_empty() {
         return Err(Error::invalid(format!(
-            "recipe: clip: camera \"{camera_id}\" has no {} frames, {} apart, from any of the frames asked for",
+            "recipe: clip: camera \"{camera_id}\" has no {} frames, {} apart and within two minutes, from any of the frames asked for",
             recipe.clip.frames, recipe.clip.stride
         )));
     }
@@ -519,7 +519,12 @@ fn move_originals(
         }
         let mut object = placer.posed(asset, Rigid::IDENTITY, Origin::Moved);
         object.track_id = Some(track.track_id.clone());
-        let moved = clip.along(object, Some(edit.track), |instant| match edit.edit {
+        let still = match edit.edit {
+            // Of a single image the track's own velocity is all that is known of a shifted actor.
+            Edit::Shift(_) => clip.velocity_of(edit.track, composition.frame),
+            Edit::Follow(_) | Edit::Remove => Some(DVec3::ZERO),
+        };
+        let moved = clip.along(object, Some(edit.track), still, |instant| match edit.edit {
             Edit::Shift(shift) => {
                 let pose = instant.pose(|frame| track.local_from_cuboid[frame])?;
                 Some(shift.of(&pose))
@@ -549,7 +554,7 @@ fn place_given(
     for (given, asset) in recipe.given_objects.iter().zip(assets) {
         let object = placer.posed(*asset, Rigid::IDENTITY, Origin::Inserted);
         let path = |instant: &Instant| Some(given.trajectory.at(instant.time_s));
-        let driven = clip.along(object, None, path);
+        let driven = clip.along(object, None, Some(DVec3::ZERO), path);
         match driven.and_then(|movement| placer.test_given(movement, None)) {
             Ok(movement) => accept(composition, placer, clip, movement),
             Err(reason) => refuse(composition, reason),
@@ -574,7 +579,7 @@ pub(super) fn pose_at(track: &RecordedTrack, frame: usize) -> Option<Rigid> {
         .and_then(|i| poses[i])
 }
 
-fn in_image(composition: &Composition, original: &Occupied) -> bool {
+pub(super) fn in_image(composition: &Composition, original: &Occupied) -> bool {
     let camera_from_cuboid = composition.local_from_camera.inverse() * original.local_from_cuboid;
     camera_from_cuboid.translation_m.length() < LABEL_RANGE_M
         && amodal_box(&composition.camera, &camera_from_cuboid, original.size_m)

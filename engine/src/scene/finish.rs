@@ -189,11 +189,9 @@ fn fill_unseen(
 /// Neither background nor to be filled: original objects that stay, and what placed objects hide wholly.
 fn is_barrier(composition: &Composition, frame: &RenderedFrame, i: usize) -> bool {
     let owner = frame.instance[i];
-    let stays = |o: &&super::PlacedObject| {
-        let moved = matches!(o.origin, Origin::Replaced | Origin::Moved);
-        o.instance_id == owner && o.track_id.is_some() && !moved
-    };
-    !frame.shows_behind(i) || composition.objects.iter().any(|o| stays(&o))
+    let mut objects = composition.objects.iter();
+    let stays = objects.any(|o| o.instance_id == owner && o.origin.is_as_recorded());
+    !frame.shows_behind(i) || stays
 }
 
 /// The hidden pixels whose background was not seen by other frames.

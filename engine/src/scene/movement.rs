@@ -97,10 +97,13 @@ impl<'a> ClipSpace<'a> {
     }
 
     /// An object whose place at each instant is given; it stands on the ground that the log saw, or on which `track` drove.
+    ///
+    /// `still` is the velocity in a single image whose place does not change.
     pub(super) fn along(
         &self,
         mut object: PlacedObject,
         track: Option<usize>,
+        still: Option<DVec3>,
         place: impl Fn(&Instant) -> Option<(DVec2, f64)>,
     ) -> Result<Movement, Rejection> {
         let stand = |instant: &Instant| {
@@ -118,15 +121,11 @@ impl<'a> ClipSpace<'a> {
             ..self.instants[0]
         };
         object.velocity_mps = match self.instants.len() {
-            // Of a single image the track's own velocity is all that is known of a shifted actor.
             1 => match (place(&self.instants[0]), place(&soon)) {
                 (Some((from, _)), Some((to, _))) if from != to => {
                     Some(((to - from) / VELOCITY_STEP_S).extend(0.0))
                 }
-                _ => match track {
-                    Some(track) => self.velocity_of(track, self.frames[0]),
-                    None => Some(DVec3::ZERO),
-                },
+                _ => still,
             },
             _ => self.velocity(&poses, 0),
         };

@@ -197,6 +197,7 @@ fn ten_thousand_placements_are_physically_possible() {
             }
         }
         index += 1;
+        assert!(index < 10_000, "{accepted} accepted");
     }
 }
 
@@ -263,6 +264,7 @@ fn heading_counts(street: &Street, recipe: &Recipe, least: usize) -> [usize; 12]
             counts[((turn * 12.0) as usize).min(11)] += 1;
         }
         index += 1;
+        assert!(index < 100 * least as u64, "{counts:?}");
     }
     counts
 }

@@ -17,7 +17,7 @@ pub struct Recording {
     pub tracks: Vec<RecordedTrack>,
     /// Unit vector from the ground towards the sun; `None` if unknown.
     pub sun_direction_local: Option<DVec3>,
-    /// The sunlight as the background shows it; `None` if it was not measured or there are no shadows.
+    /// The sunlight as the background shows it; `None` if it was not measured, or neither the log nor a shadow tells the sun.
     #[serde(default)]
     pub daylight: Option<Daylight>,
 }

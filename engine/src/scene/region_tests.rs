@@ -96,6 +96,26 @@ fn grown(world: &BoxWorld, by_m: f64) -> BoxWorld {
     }
 }
 
+/// Cells that are free and must not be or the other way round, and how many are undecided: voxels round the edges of things, so that
+/// a line that passes an edge nearer than half a voxel may be decided either way.
+///
+/// Whether cells that are not free say blocked or unseen is the same: the interior of things was never reached from the road.
+fn wrong_cells(
+    world: &BoxWorld,
+    region: &ValidRegion,
+    config: &RegionConfig,
+) -> (Vec<usize>, usize) {
+    let hidden_by = |by_m: f64| expected(world, &grown(world, by_m), region, config);
+    let (expected, strict) = (hidden_by(-EDGE_M), hidden_by(EDGE_M));
+    let is_free = |cells: &[Cell], i: usize| cells[i] == Cell::Free;
+    let cells = 0..expected.len();
+    let (decided, undecided): (Vec<usize>, Vec<usize>) =
+        cells.partition(|i| is_free(&expected, *i) == is_free(&strict, *i));
+    let wrong = decided.into_iter();
+    let wrong = wrong.filter(|i| is_free(&region.cells, *i) != is_free(&expected, *i));
+    (wrong.collect(), undecided.len())
+}
+
 pub(super) fn draw(region: &ValidRegion, cells: &[Cell]) -> String {
     (0..region.rows)
         .rev()
@@ -113,28 +133,20 @@ pub(super) fn draw(region: &ValidRegion, cells: &[Cell]) -> String {
 }
 
 #[test]
-fn a_voxelised_street_gives_exactly_the_expected_map() {
+fn a_voxelised_street_gives_the_expected_map_wherever_voxels_decide_it() {
     let (world, config) = (street(), config());
     let field = world.voxelised(VOXEL_M);
     let region = ValidRegion::build(&field, &drive(SLOPE, 31, 1.0), &config);
-    // Voxels round the edges of things: lines that pass an edge nearer than half a voxel may be decided either way.
-    let hidden_by = |by_m: f64| expected(&world, &grown(&world, by_m), &region, &config);
-    let (expected, strict) = (hidden_by(-EDGE_M), hidden_by(EDGE_M));
-    let is_decided = |i: usize| (expected[i] == Cell::Free) == (strict[i] == Cell::Free);
-    let undecided = (0..expected.len()).filter(|i| !is_decided(*i)).count();
-    assert!(undecided < 120, "{undecided} undecided cells");
-    // Cells in the interior of things were never reached from the road; whether they say blocked or unseen is the same: not free.
-    let differs = |i: &usize| (region.cells[*i] == Cell::Free) != (expected[*i] == Cell::Free);
-    let wrong: Vec<usize> = (0..expected.len())
-        .filter(|i| is_decided(*i) && differs(i))
-        .collect();
+    let (wrong, undecided) = wrong_cells(&world, &region, &config);
+    println!("{undecided} undecided cells");
+    assert!(undecided < 60, "{undecided} undecided cells");
     assert!(
         wrong.is_empty(),
         "{} cells differ, first at {:?}\n{}\n{}",
         wrong.len(),
         region.centre(wrong[0]),
         draw(&region, &region.cells),
-        draw(&region, &expected)
+        draw(&region, &expected(&world, &world, &region, &config))
     );
     let free = region.free_cells().count();
     assert!(free > 1000, "{free} free cells");
@@ -217,12 +229,12 @@ fn a_region_that_breaks_a_rule_differs_from_the_expected_map() {
             },
         ),
     ];
+    let build =
+        |config: &RegionConfig| ValidRegion::build(&world.voxelised(VOXEL_M), &recording, config);
     for (rule, config) in wrong {
-        let region = ValidRegion::build(&world, &recording, &config);
-        let expected = expected(&world, &world, &region, &right);
-        let wrong = (0..expected.len())
-            .filter(|i| (region.cells[*i] == Cell::Free) != (expected[*i] == Cell::Free));
-        assert!(wrong.count() >= 2, "{rule}");
+        let (wrong, _) = wrong_cells(&world, &build(&config), &right);
+        println!("{rule}: {} cells differ", wrong.len());
+        assert!(!wrong.is_empty(), "{rule}");
     }
 }
 

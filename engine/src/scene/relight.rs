@@ -277,7 +277,7 @@ impl Sun<'_> {
     /// Mean part of the sun that reaches the frame's original vehicles, by the area they take in the image.
     fn of_vehicles(&self, composition: &Composition) -> Option<f64> {
         let originals = composition.objects.iter();
-        let shown = originals.filter(|o| o.class.is_vehicle() && o.track_id.is_some());
+        let shown = originals.filter(|o| o.class.is_vehicle() && o.origin.is_as_recorded());
         let boxes = shown.map(PlacedObject::occupied);
         let (mut sum, mut total) = (0.0, 0.0);
         for vehicle in boxes.chain(composition.left_out.iter().map(|m| m.occupied)) {

@@ -65,7 +65,7 @@ impl<'a> Scene<'a> {
         };
         for object in &composition.objects {
             match object.asset {
-                // Put over the rendered frame by `replay_recorded`.
+                // Put over the rendered frame by `show_recorded`.
                 None if object.origin == Origin::Recorded => {}
                 Some(asset) => scene.objects.push(SceneObject {
                     instance_id: object.instance_id,

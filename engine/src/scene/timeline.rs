@@ -22,7 +22,9 @@ pub struct Clip {
 pub const MAX_CLIP_FRAMES: u32 = 40;
 /// Faster is no traffic.
 const MAX_SPEED_MPS: f64 = 60.0;
-/// At 15 m/s a car moves a third of its length in this time, so that none passes through another between two tests.
+/// Longer is no clip: every tenth of a second of it is tested at every attempt.
+const MAX_CLIP_NS: u64 = 120_000_000_000;
+/// At 15 m/s a car moves a third of its length in this time; over 40 m/s it may pass through another between two tests.
 const TEST_STEP_S: f64 = 0.1;
 /// Poses further apart in time say nothing of the speed between them.
 const MAX_VELOCITY_SPAN_S: f64 = 1.5;
@@ -59,7 +61,8 @@ impl Clip {
         Ok(())
     }
 
-    /// The recorded frames of the clip that begins at frame `first`: indices into [`Recording::frames`]. `None` if the log ends before.
+    /// The recorded frames of the clip that begins at frame `first`: indices into [`Recording::frames`]. `None` if the log ends before,
+    /// or the clip would last over two minutes.
     pub fn frames_from(&self, recording: &Recording, first: usize) -> Option<Vec<usize>> {
         let camera_id = &recording.frames[first].camera_id;
         let own = (first..recording.frames.len())
@@ -68,7 +71,9 @@ impl Clip {
             .step_by(self.stride as usize)
             .take(self.frames as usize)
             .collect();
-        (frames.len() == self.frames as usize).then_some(frames)
+        let time_ns = |i: &usize| recording.frames[*i].timestamp_ns;
+        let span_ns = time_ns(frames.last()?).abs_diff(time_ns(frames.first()?));
+        (frames.len() == self.frames as usize && span_ns <= MAX_CLIP_NS).then_some(frames)
     }
 }
 

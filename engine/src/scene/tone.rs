@@ -153,7 +153,7 @@ fn vehicle_pixels(composition: &Composition, recorded: &RecordedImage<'_>) -> Ve
     let camera_from_local = composition.local_from_camera.inverse();
     let mut covered = vec![false; camera.pixel_count()];
     let originals = composition.objects.iter();
-    let shown = originals.filter(|o| o.class.is_vehicle() && o.track_id.is_some());
+    let shown = originals.filter(|o| o.class.is_vehicle() && o.origin.is_as_recorded());
     let boxes = shown.map(|o| o.occupied());
     for occupied in boxes.chain(composition.left_out.iter().map(|m| m.occupied)) {
         let pose = camera_from_local * occupied.local_from_cuboid;
