@@ -26,7 +26,7 @@ pub(crate) const UPLOAD_IDLE: Duration = Duration::from_secs(30);
 /// Samples of one call.
 pub(crate) const MAX_SAMPLES: u64 = 100_000;
 
-/// Plans of one call: about 2 KiB each.
+/// Plans of one call, as far as they fit a reply.
 pub(crate) const MAX_PLANS: u64 = 1_000;
 
 /// Calls that render at once; all share the engine's threads.

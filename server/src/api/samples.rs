@@ -8,6 +8,7 @@ use backlot_engine::backend::Backend;
 use backlot_proto::v1;
 use backlot_proto::v1::sample_service_server::SampleService;
 use futures::Stream;
+use prost::Message;
 use tokio::sync::{Semaphore, mpsc, oneshot};
 use tokio_stream::wrappers::ReceiverStream;
 use tokio_util::sync::CancellationToken;
@@ -16,7 +17,7 @@ use tonic::{Request, Response, Status};
 use super::blocking::blocking;
 use super::convert_recipe::{recipe_from_wire, scene_from_wire};
 use super::convert_sample::{Origins, plan_to_wire, sample_to_wire};
-use super::limits::{MAX_PLANS, MAX_RENDERINGS, MAX_SAMPLES, SAMPLES_AHEAD};
+use super::limits::{MAX_PLANS, MAX_RENDERINGS, MAX_REPLY_BYTES, MAX_SAMPLES, SAMPLES_AHEAD};
 use super::status::{invalid_field, status, to_status, violations_status};
 use crate::error::ErrorKind;
 use crate::samples::{self, AssetCache, RecipeRequest, RecipeSamples, render_scene};
@@ -167,11 +168,18 @@ fn plans(
 ) -> samples::Result<v1::PlanSamplesResponse> {
     let samples = RecipeSamples::prepare(cache, recipe)?;
     let mut plans = Vec::new();
+    let mut bytes = 0;
     for index in indices {
         if cancelled() {
             return Err(EngineError::Cancelled.into());
         }
-        plans.push(plan_to_wire(samples.plan(index)?, index));
+        let plan = plan_to_wire(samples.plan(index)?, index);
+        bytes += plan.encoded_len();
+        if bytes > MAX_REPLY_BYTES / 2 {
+            let what = format!("{} plans fill a reply: ask for fewer at once", plans.len());
+            return Err(samples::Error::Invalid { what });
+        }
+        plans.push(plan);
     }
     Ok(v1::PlanSamplesResponse {
         library_snapshot: format!("librarySnapshots/{}", samples.snapshot()),
