@@ -1,7 +1,7 @@
 //! Uploading a log: only what the server lacks, in checksummed chunks, resumable, then the manifest.
 
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use backlot_proto::v1;
 use bytes::Bytes;
@@ -39,8 +39,14 @@ pub struct Uploaded {
     /// The server's: legal, but probably not meant.
     pub warnings: Vec<String>,
     pub blobs_total: usize,
-    /// Blobs the server did not have.
+    /// Blobs the server did not have, or not whole.
     pub blobs_sent: usize,
+    /// Bytes of their content that were sent: of a blob that was cut only the rest.
+    pub bytes_sent: u64,
+    /// Until every blob was on the server's disk.
+    pub sending: Duration,
+    /// The server's check of the whole log, and its commit.
+    pub accepting: Duration,
 }
 
 /// Uploads a log as `name` (`driveLogs/{id}`). After a cut the same call sends only the rest.
@@ -63,14 +69,20 @@ pub async fn upload_log(
         });
     };
     on_bytes(0);
+    let started = Instant::now();
+    let sent = AtomicU64::new(0);
     stream::iter(&missing)
         .map(Ok)
         .try_for_each_concurrent(PARALLEL_WRITES, |digest| {
-            write_blob(connection, log, digest, &on_bytes)
+            write_blob(connection, log, digest, &sent, &on_bytes)
         })
         .await?;
+    let sending = started.elapsed();
     let created = create(connection, log, name).await?;
     Ok(Uploaded {
+        bytes_sent: sent.into_inner(),
+        sending,
+        accepting: started.elapsed() - sending,
         drive_log: created.drive_log.unwrap_or_default(),
         warnings: created.warnings,
         blobs_total: log.blobs.len(),
@@ -83,9 +95,13 @@ fn blob_sizes(log: &v1::DriveLog) -> std::collections::BTreeMap<String, u64> {
         .frames
         .iter()
         .flat_map(|f| [&f.image, &f.instance_mask, &f.sky_mask]);
+    let maps = log.frames.iter().flat_map(|f| &f.depth_map);
     let sweeps = log.sweeps.iter().map(|s| &s.points);
+    let points = log.sfm_points.iter();
     frames
+        .chain(maps.map(|map| &map.image))
         .chain(sweeps)
+        .chain(points.flat_map(|sfm| [&sfm.points, &sfm.observations]))
         .flatten()
         .map(|blob| (blob.digest.clone(), blob.size_bytes))
         .collect()
@@ -112,6 +128,7 @@ async fn write_blob(
     connection: &Connection,
     log: &ReadLog,
     digest: &str,
+    sent: &AtomicU64,
     on_bytes: &(dyn Fn(u64) + Sync),
 ) -> Result<()> {
     let source = log.blobs.get(digest).ok_or_else(|| Error::Protocol {
@@ -122,7 +139,7 @@ async fn write_blob(
     let mut counted = 0;
     let mut pause = FIRST_PAUSE;
     for attempt in 1.. {
-        match write_rest(connection, source, digest, &content).await {
+        match write_rest(connection, source, digest, &content, sent).await {
             Ok(()) => break,
             Err(error) if attempt < ATTEMPTS && error.is_transient() => {
                 tracing::debug!(digest, attempt, %error, "write was cut");
@@ -173,9 +190,11 @@ async fn write_rest(
     source: &BlobSource,
     digest: &str,
     content: &Bytes,
+    sent: &AtomicU64,
 ) -> Result<()> {
     let committed = committed_bytes(connection, digest).await?;
     let start = committed.min(content.len() as u64) as usize;
+    sent.fetch_add((content.len() - start) as u64, Ordering::Relaxed);
     let blob = v1::BlobRef {
         digest: digest.to_owned(),
         size_bytes: content.len() as u64,

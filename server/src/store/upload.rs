@@ -16,6 +16,8 @@ pub struct Upload {
     path: PathBuf,
     file: File,
     committed_bytes: u64,
+    /// Over what was written, if that is all there is: a resumed blob is read again at its end.
+    hasher: Option<blake3::Hasher>,
 }
 
 impl Upload {
@@ -33,6 +35,7 @@ impl Upload {
                 path,
                 file,
                 committed_bytes,
+                hasher: (committed_bytes == 0).then(blake3::Hasher::new),
             })
     }
 
@@ -69,6 +72,9 @@ impl Upload {
             let _ = self.file.seek(SeekFrom::End(0));
             return Err(error);
         }
+        if let Some(hasher) = &mut self.hasher {
+            hasher.update(chunk);
+        }
         self.committed_bytes = end;
         Ok(())
     }
@@ -81,7 +87,10 @@ impl Upload {
     /// Verifies the whole content and publishes it. Content that does not match its digest is removed.
     pub fn finish(self) -> Result<()> {
         self.sync()?;
-        let found = digest_of_file(&self.path)?;
+        let found = match &self.hasher {
+            Some(hasher) => hasher.finalize().into(),
+            None => digest_of_file(&self.path)?,
+        };
         if found != self.blob.digest || !self.is_whole() {
             std::fs::remove_file(&self.path).at("remove", &self.path)?;
             return Err(Error::Invalid {

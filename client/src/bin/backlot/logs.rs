@@ -1,5 +1,7 @@
 //! `backlot logs`.
 
+use std::time::Instant;
+
 use anyhow::Context;
 use backlot_client::geometry::{rigid_from_wire, vector_from_wire};
 use backlot_client::upload::upload_log;
@@ -44,6 +46,7 @@ async fn upload(
     output: Output,
 ) -> anyhow::Result<()> {
     let name = names::drive_log(&options.name)?;
+    let started = Instant::now();
     let log = input::read(&LogSource {
         path: options.path.as_deref(),
         format: options.format,
@@ -51,6 +54,7 @@ async fn upload(
         seed: options.seed,
         street: &options.street,
     })?;
+    let reading = started.elapsed();
     let connection = open().await?;
     let progress = Progress::bytes("upload");
     let progress_cell = std::sync::Mutex::new(progress);
@@ -63,7 +67,11 @@ async fn upload(
     let (sent, total) = (uploaded.blobs_sent, uploaded.blobs_total);
     if let Ok(progress) = progress_cell.into_inner() {
         progress.finish(&format!(
-            "{sent} of {total} blobs were sent, the rest was there"
+            "{sent} of {total} blobs were sent, the rest was there: {:.1} MB; read in {:.1} s, sent in {:.1} s, accepted in {:.1} s",
+            uploaded.bytes_sent as f64 / 1e6,
+            reading.as_secs_f64(),
+            uploaded.sending.as_secs_f64(),
+            uploaded.accepting.as_secs_f64(),
         ));
     }
     for warning in &uploaded.warnings {
