@@ -11,6 +11,7 @@ pub mod kitti;
 pub mod nuscenes;
 pub mod waymo;
 
+pub mod depth_maps;
 pub mod log_format;
 
 pub mod geometry;

@@ -94,10 +94,7 @@ fn view(
         rgb.extend([grey; 3]);
         labels.push(PixelLabel::Foreground);
         if pixel % 3 == 0 {
-            depth.push(DepthReturn {
-                pixel: at.as_vec2().to_array(),
-                range_m: range_m as f32,
-            });
+            depth.push(DepthReturn::lidar(at.as_vec2().to_array(), range_m as f32));
         }
     }
     TrainView {

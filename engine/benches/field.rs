@@ -45,10 +45,7 @@ fn view(number: u32) -> TrainView {
         rgb.extend(if light { [150; 3] } else { [90; 3] });
         labels.push(PixelLabel::Foreground);
         if pixel % 3 == 0 {
-            depth.push(DepthReturn {
-                pixel: at.as_vec2().to_array(),
-                range_m: range_m as f32,
-            });
+            depth.push(DepthReturn::lidar(at.as_vec2().to_array(), range_m as f32));
         }
     }
     TrainView {

@@ -19,13 +19,39 @@ pub enum PixelLabel {
     Sky = 3,
 }
 
-/// One LiDAR return on its exact sub-pixel position in a view.
+/// What a depth comes from, which decides what it proves.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum DepthSource {
+    /// Measured: the way to it is free.
+    Lidar,
+    /// A pixel of a depth map, wrong by a part of its range.
+    Map,
+    /// A point of structure from motion: too sparse to prove anything about the pixels around it.
+    SfmPoint,
+}
+
+/// One LiDAR return, or what stands in for one, on its exact sub-pixel position in a view.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DepthReturn {
     /// Continuous pixel position; the centre of the top left pixel is (0.5, 0.5).
     pub pixel: [f32; 2],
     /// Euclidean distance from the camera centre in metres (not camera z).
     pub range_m: f32,
+    pub source: DepthSource,
+    /// Weight of its loss relative to that of a LiDAR return.
+    pub weight: f32,
+}
+
+impl DepthReturn {
+    /// A LiDAR return, of weight 1.
+    pub fn lidar(pixel: [f32; 2], range_m: f32) -> Self {
+        Self {
+            pixel,
+            range_m,
+            source: DepthSource::Lidar,
+            weight: 1.0,
+        }
+    }
 }
 
 /// Which part of the data a view belongs to. Held-out views never reach a training step.
@@ -35,7 +61,7 @@ pub enum Split {
     HeldOut,
 }
 
-/// A posed image with labels and LiDAR returns, in the local frame of the field to be trained.
+/// A posed image with labels and depths, in the local frame of the field to be trained.
 ///
 /// For a background the local frame is the log's anchor frame (x forward, y left, z up); for an object it is the frame of its
 /// cuboid at the frame's time (origin at the cuboid's centre, x forward, y left, z up).

@@ -27,7 +27,22 @@ pub struct StreetConfig {
     pub mask_edge_noise: f64,
     /// Standard deviations added to the recorded ego poses (the images are taken from the true ones).
     pub pose_noise: PoseNoise,
+    pub depth: DepthRecording,
+    /// The scanner, for [`DepthRecording::Lidar`].
     pub lidar: LidarConfig,
+}
+
+/// What a generated log says about depth.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum DepthRecording {
+    /// Sweeps of a scanner.
+    #[default]
+    Lidar,
+    /// A monocular depth map for every image.
+    Maps,
+    /// Points of structure from motion.
+    Points,
+    None,
 }
 
 /// Gaussian noise of recorded poses.
@@ -85,6 +100,7 @@ impl Default for StreetConfig {
             supersample: 2,
             mask_edge_noise: 0.0,
             pose_noise: PoseNoise::default(),
+            depth: DepthRecording::default(),
             lidar: LidarConfig::default(),
         }
     }

@@ -9,7 +9,8 @@ use image::{ImageBuffer, ImageFormat, Luma, Pixel, PixelWithColorType, Rgb};
 use rayon::prelude::*;
 
 use super::actors::Actor;
-use super::config::Error;
+use super::config::{DepthRecording, Error};
+use super::depth::depth_units;
 use super::noise::{gaussian, hash, unit};
 use super::render::{ExactFrame, RenderOptions, View};
 use super::world::{START_NS, StreetWorld};
@@ -70,7 +71,14 @@ impl StreetWorld {
         let timestamps = self.frame_timestamps_ns();
         let last_ns = *timestamps.last().unwrap_or(&START_NS);
         let frames = self.record_frames(&mut log, &timestamps)?;
-        let sweeps = self.record_sweeps(&mut log, last_ns)?;
+        let sweeps = match self.config.depth {
+            DepthRecording::Lidar => self.record_sweeps(&mut log, last_ns)?,
+            _ => Vec::new(),
+        };
+        let sfm_points = match self.config.depth {
+            DepthRecording::Points => Some(self.record_points(&mut log, &timestamps)?),
+            _ => None,
+        };
         log.drive_log = v1::DriveLog {
             dataset: "generated".to_owned(),
             synthetic: true,
@@ -79,6 +87,7 @@ impl StreetWorld {
             world_from_ego: self.record_trajectory(last_ns),
             frames,
             sweeps,
+            sfm_points,
             tracks: self
                 .actors
                 .iter()
@@ -111,6 +120,18 @@ impl StreetWorld {
                 .map(|&sky| if sky { 255_u8 } else { 0 })
                 .collect();
             let (width, height) = (exact.width, exact.height);
+            let depth_map = match self.config.depth {
+                DepthRecording::Maps => {
+                    let (units, unit_m) = depth_units(&exact, index as u32, self.seed());
+                    Some(v1::DepthMap {
+                        image: Some(log.add_bytes(png::<Luma<u16>>(width, height, units)?)),
+                        unit_m,
+                        kind: v1::DepthMapKind::Monocular.into(),
+                        weight: 0.0,
+                    })
+                }
+                _ => None,
+            };
             frames.push(v1::CameraFrame {
                 camera_id: CAMERA_ID.to_owned(),
                 frame_index: index as u32,
@@ -118,6 +139,7 @@ impl StreetWorld {
                 image: Some(log.add_bytes(png::<Rgb<u8>>(width, height, exact.rgb8)?)),
                 instance_mask: Some(log.add_bytes(png::<Luma<u16>>(width, height, mask)?)),
                 sky_mask: Some(log.add_bytes(png::<Luma<u8>>(width, height, sky)?)),
+                depth_map,
                 ..v1::CameraFrame::default()
             });
         }
@@ -145,6 +167,15 @@ impl StreetWorld {
             });
         }
         Ok(sweeps)
+    }
+
+    fn record_points(&self, log: &mut ReadLog, timestamps: &[i64]) -> Result<v1::SfmPoints, Error> {
+        let content = self.triangulate(timestamps)?;
+        Ok(v1::SfmPoints {
+            points: Some(log.add_bytes(content.points)),
+            observations: Some(log.add_bytes(content.observations)),
+            weight: 0.0,
+        })
     }
 
     fn record_trajectory(&self, last_ns: i64) -> Vec<v1::TimedPose> {
@@ -192,12 +223,22 @@ impl StreetWorld {
                 "synthetic: a procedurally generated street, ray-traced; seed {}",
                 config.seed
             ),
-            format!(
-                "lidar: {} beams in the forward sector of +-{:.0} degrees, range noise {} m, every point at its own time",
-                config.lidar.beams,
-                config.lidar.half_sector_rad.to_degrees(),
-                config.lidar.range_noise_m
-            ),
+            match config.depth {
+                DepthRecording::Lidar => format!(
+                    "lidar: {} beams in the forward sector of +-{:.0} degrees, range noise {} m, every point at its own time",
+                    config.lidar.beams,
+                    config.lidar.half_sector_rad.to_degrees(),
+                    config.lidar.range_noise_m
+                ),
+                DepthRecording::Maps => {
+                    "depth: monocular maps with errors of scale and of pixels; no lidar".to_owned()
+                }
+                DepthRecording::Points => {
+                    "depth: points of structure from motion, some of them wrong; no lidar"
+                        .to_owned()
+                }
+                DepthRecording::None => "depth: none".to_owned(),
+            },
         ];
         if config.mask_edge_noise > 0.0 {
             notes.push(format!(

@@ -2,7 +2,7 @@
 //!
 //! A [`StreetConfig`] makes a [`StreetWorld`]; its [`read_log`](StreetWorld::read_log) is the input of the demo, and its
 //! [`render`](StreetWorld::render) is the ground truth for any view and any object poses. Inside, data flows from `street`, `facade` and
-//! `car` (meshes) through `bvh` and `scene` (rays) to `texture`, `road`, `paint`, `sky` and `shade` (light), then `render`, `lidar` and `log`.
+//! `car` (meshes) through `bvh` and `scene` (rays) to `texture`, `road`, `paint`, `sky` and `shade` (light), then `render`, `lidar`, `depth` and `log`.
 
 mod config;
 
@@ -38,6 +38,8 @@ mod world;
 
 mod lidar;
 
+mod depth;
+
 mod log;
 
 mod warp;
@@ -46,7 +48,7 @@ mod warp;
 mod tests;
 
 pub use actors::ActorPose;
-pub use config::{Error, LidarConfig, PoseNoise, StreetConfig};
+pub use config::{DepthRecording, Error, LidarConfig, PoseNoise, StreetConfig};
 pub use lidar::LidarPoint;
 pub use render::{ExactFrame, RenderOptions, ShadowCasters, View};
 pub use warp::{psnr, warp_by_depth};

@@ -1,8 +1,11 @@
 //! What a reader understood of a log, in figures and in pictures, before anything is uploaded.
 
+mod depth;
+
 mod report;
 
 mod overlay;
 
+pub use depth::DepthReport;
 pub use overlay::{overlay, overlay_frames};
 pub use report::{CameraReport, LidarReport, LogReport, TrackReport};

@@ -1,4 +1,4 @@
-//! LiDAR returns and cuboids drawn over an image: where they do not fit, calibration, poses or tracks are wrong.
+//! LiDAR returns or other depths, and cuboids, drawn over an image: where they do not fit, calibration, poses or tracks are wrong.
 
 use std::collections::BTreeMap;
 use std::io;
@@ -8,6 +8,7 @@ use backlot_proto::v1;
 use glam::{DVec2, DVec3};
 use image::{Rgb, RgbImage};
 
+use super::depth::{map_points, sfm_points};
 use super::report::camera_from_world;
 use crate::geometry::{camera_from_wire, rigid_from_wire, vector_from_wire};
 use crate::motion::{ego_pose_at, track_pose_at};
@@ -39,7 +40,8 @@ pub fn overlay_frames(log: &v1::DriveLog, count: usize) -> Vec<&v1::CameraFrame>
     chosen
 }
 
-/// The image of a frame with the returns of each scanner's nearest sweep, coloured by distance, and the cuboids of its time.
+/// The image of a frame with the returns of each scanner's nearest sweep, its depth map and the points it saw, coloured by distance,
+/// and the cuboids of its time.
 ///
 /// # Errors
 /// Those of reading a blob; an image that does not decode, a frame without a camera, or one outside the trajectory.
@@ -67,6 +69,14 @@ pub fn overlay(log: &ReadLog, frame: &v1::CameraFrame) -> io::Result<RgbImage> {
         let late_ms = (sweep.timestamp_ns - frame.timestamp_ns) as f64 * 1e-6;
         caption += &format!("  {} {late_ms:+.0} MS", sweep.lidar_id);
         draw_sweep(&mut image, log, sweep, &camera, &camera_from_world)?;
+    }
+    let of_map = map_points(log, frame, &camera)?;
+    let of_sfm = sfm_points(log, frame, &camera, &camera_from_world)?;
+    for (name, points) in [("DEPTH MAP", of_map), ("SFM", of_sfm)] {
+        if !points.is_empty() {
+            caption += &format!("  {name}");
+            draw_points(&mut image, points, camera.width);
+        }
     }
     draw_tracks(
         &mut image,
@@ -138,13 +148,17 @@ fn draw_sweep(
             returns.push((pixel, p_camera.length()));
         }
     }
+    draw_points(image, returns, camera.width);
+    Ok(())
+}
+
+fn draw_points(image: &mut RgbImage, mut points: Vec<(DVec2, f64)>, width: u32) {
     // Near ones last, so that they are seen.
-    returns.sort_by(|a, b| b.1.total_cmp(&a.1));
-    let side = if camera.width > WIDE_PX { 2 } else { 1 };
-    for (pixel, distance_m) in returns {
+    points.sort_by(|a, b| b.1.total_cmp(&a.1));
+    let side = if width > WIDE_PX { 2 } else { 1 };
+    for (pixel, distance_m) in points {
         draw_return(image, pixel, side, distance_color(distance_m));
     }
-    Ok(())
 }
 
 fn draw_return(image: &mut RgbImage, pixel: DVec2, side: i64, color: Rgb<u8>) {

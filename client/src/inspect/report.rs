@@ -7,6 +7,7 @@ use backlot_proto::v1;
 use glam::DVec2;
 use serde::Serialize;
 
+use super::depth::{DepthReport, depth_reports};
 use crate::geometry::{camera_from_wire, rigid_from_wire, vector_from_wire};
 use crate::motion::{ego_pose_at, track_pose_at};
 
@@ -27,6 +28,8 @@ pub struct LogReport {
     pub ego_poses: usize,
     pub cameras: Vec<CameraReport>,
     pub lidars: Vec<LidarReport>,
+    /// Depth besides LiDAR.
+    pub depths: Vec<DepthReport>,
     pub tracks: Vec<TrackReport>,
     /// What the reader ignored or assumed.
     pub notes: Vec<String>,
@@ -99,6 +102,7 @@ impl LogReport {
                 .map(|camera| camera_report(log, camera))
                 .collect(),
             lidars: lidar_reports(log),
+            depths: depth_reports(log),
             tracks: log
                 .tracks
                 .iter()
@@ -241,8 +245,15 @@ pub(super) fn camera_from_world(
 
 fn missing(log: &v1::DriveLog, report: &LogReport) -> Vec<String> {
     let mut missing = Vec::new();
-    if log.sweeps.is_empty() {
-        missing.push("no LiDAR: fields are trained without depth".to_owned());
+    let depth = match (&log.sweeps[..], &report.depths[..]) {
+        ([], []) => Some("no LiDAR, depth map or SfM point: fields are trained without depth"),
+        ([], _) => Some("no LiDAR: depth is that of the maps or points, and so are its errors"),
+        _ => None,
+    };
+    missing.extend(depth.map(str::to_owned));
+    let bare = log.frames.iter().filter(|f| f.depth_map.is_none()).count();
+    if (1..log.frames.len()).contains(&bare) {
+        missing.push(format!("{bare} images have no depth map"));
     }
     let far = |f: &&v1::CameraFrame| {
         let mut sweeps = log.sweeps.iter();

@@ -100,6 +100,16 @@ impl ReadLog {
         Ok(blob)
     }
 
+    /// Forgets the sweeps, and says so in the notes.
+    pub fn leave_lidar_out(&mut self) {
+        let sweeps = std::mem::take(&mut self.drive_log.sweeps);
+        for blob in sweeps.iter().filter_map(|sweep| sweep.points.as_ref()) {
+            self.blobs.remove(&blob.digest);
+        }
+        let note = format!("{} LiDAR sweeps were left out", sweeps.len());
+        self.drive_log.notes.push(note);
+    }
+
     /// The bytes of a blob of the manifest. Blocks.
     ///
     /// # Errors

@@ -8,7 +8,8 @@ pub struct QualityReport {
     /// Decibels over the valid pixels of the held-out views: static non-sky ones for a background, inside the mask for an object.
     pub psnr_held_out: Option<f64>,
     pub ssim_held_out: Option<f64>,
-    /// Mean absolute LiDAR range error in metres on held-out views, best 95 %, up to 50 m.
+    /// Mean absolute range error in metres on held-out views, best 95 %, up to 50 m: against LiDAR, or against depth maps and
+    /// points of structure from motion where there is none.
     pub depth_mae_m: Option<f64>,
     pub train_views: u32,
     pub held_out_views: u32,

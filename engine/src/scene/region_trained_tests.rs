@@ -77,10 +77,8 @@ fn shoot(
     });
     let (column, row) = (at % WIDTH, at / WIDTH);
     if let Some(t) = hit.filter(|t| *t < LIDAR_RANGE_M && (column + 3 * row) % LIDAR_EVERY == 0) {
-        view.depth.push(DepthReturn {
-            pixel: pixel.as_vec2().to_array(),
-            range_m: t as f32,
-        });
+        view.depth
+            .push(DepthReturn::lidar(pixel.as_vec2().to_array(), t as f32));
         points.push((eye + direction * t).as_vec3().to_array());
     }
 }

@@ -5,7 +5,7 @@ use glam::DVec2;
 use super::fit::Run;
 use crate::field::{Field, Ray};
 use crate::quality::{QualityReport, RenderedRay, psnr_db, render_rays, ssim};
-use crate::view::{PixelLabel, Split, TrainView};
+use crate::view::{DepthReturn, DepthSource, PixelLabel, Split, TrainView};
 
 /// Depth figures count returns up to here, and the best share of them.
 const DEPTH_RANGE_M: f32 = 50.0;
@@ -137,11 +137,14 @@ impl Sums {
     }
 }
 
+/// Against LiDAR where the view has any, otherwise against what stands in for it.
 fn range_errors_m(field: &Field, view: &TrainView) -> Vec<f64> {
+    let is_measured = |d: &DepthReturn| d.source == DepthSource::Lidar;
+    let only_measured = view.depth.iter().any(is_measured);
     let near: Vec<_> = view
         .depth
         .iter()
-        .filter(|d| d.range_m <= DEPTH_RANGE_M)
+        .filter(|d| d.range_m <= DEPTH_RANGE_M && (!only_measured || is_measured(d)))
         .collect();
     let ray = |pixel: [f32; 2]| view.ray(DVec2::from(pixel.map(f64::from)));
     let rays: Vec<Ray> = near.iter().map(|depth| ray(depth.pixel)).collect();

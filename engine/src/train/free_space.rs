@@ -3,13 +3,16 @@
 use glam::{DVec3, Vec3};
 
 use crate::camera::{Camera, Rigid};
-use crate::view::{PixelLabel, Split, TrainView};
+use crate::view::{DepthSource, PixelLabel, Split, TrainView};
 
 /// Edge of an image tile in pixels.
 const TILE: u32 = 8;
 
 /// Cubes this much farther than every return around them are hidden in a view, in metres: returns are sparse.
 const HIDDEN_MARGIN_M: f64 = 2.0;
+
+/// A depth map may be wrong by this part of its range: it proves no more than the rest.
+const MAP_SLACK: f32 = 0.15;
 
 /// What a view proves about the directions of each image tile: free up to a range, and hidden beyond one.
 #[derive(Debug)]
@@ -23,7 +26,7 @@ struct FreeTiles {
     farthest_m: Vec<f32>,
 }
 
-/// Free space as the training views see it: up to the LiDAR returns, and everywhere along sky pixels.
+/// Free space as the training views see it: up to the LiDAR returns or nearly up to the depth map, and everywhere along sky pixels.
 #[derive(Debug)]
 pub(super) struct FreeSpace {
     views: Vec<FreeTiles>,
@@ -122,9 +125,14 @@ fn free_tiles(view: &TrainView) -> FreeTiles {
     for depth in &view.depth {
         let [x, y] = depth.pixel.map(|c| c as u32 / TILE);
         if x < columns && y < rows {
+            let slack = match depth.source {
+                DepthSource::Lidar => 0.0,
+                DepthSource::Map => MAP_SLACK,
+                DepthSource::SfmPoint => continue,
+            };
             let tile = (y * columns + x) as usize;
-            farthest_m[tile] = farthest_m[tile].max(depth.range_m);
-            free_m[tile] = free_m[tile].min(depth.range_m);
+            farthest_m[tile] = farthest_m[tile].max(depth.range_m * (1.0 + slack));
+            free_m[tile] = free_m[tile].min(depth.range_m * (1.0 - slack));
         }
     }
     for tile in 0..free_m.len() {
@@ -141,5 +149,66 @@ fn free_tiles(view: &TrainView) -> FreeTiles {
         columns,
         free_m,
         farthest_m,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::DVec2;
+
+    use super::*;
+    use crate::camera::Distortion;
+    use crate::view::DepthReturn;
+
+    const WALL_M: f32 = 20.0;
+
+    /// A wall 20 m ahead, with a depth from this source on every pixel; none if `source` is `None`.
+    fn free_space(source: Option<DepthSource>) -> FreeSpace {
+        let camera = Camera {
+            width: 64,
+            height: 64,
+            focal_px: DVec2::splat(64.0),
+            principal_px: DVec2::splat(32.0),
+            distortion: Distortion::None,
+        };
+        let pixels = 0..camera.pixel_count();
+        let depth = pixels.filter_map(|at| {
+            let pixel = camera.pixel_centre(at);
+            let direction = camera.direction(pixel);
+            let range_m = WALL_M / direction.z as f32;
+            let measured = DepthReturn::lidar(pixel.as_vec2().to_array(), range_m);
+            source.map(|source| DepthReturn { source, ..measured })
+        });
+        FreeSpace::new(&[TrainView {
+            frame_index: 0,
+            camera,
+            local_from_camera: Rigid::IDENTITY,
+            rgb: vec![0; 3 * camera.pixel_count()],
+            labels: vec![PixelLabel::Foreground; camera.pixel_count()],
+            depth: depth.collect(),
+            split: Split::Train,
+        }])
+    }
+
+    #[test]
+    fn maps_prove_less_than_lidar_and_points_nothing() {
+        use Visibility::{Free, Possible, Unseen};
+        // Ahead of the wall by more than a map may be wrong, by less, at the wall, and behind it by less and by more.
+        let at = [10.0, 18.0, 20.0, 23.8, 30.0].map(|z| Vec3::new(0.0, 0.0, z));
+        for (source, judged) in [
+            (
+                Some(DepthSource::Lidar),
+                [Free, Free, Possible, Unseen, Unseen],
+            ),
+            (
+                Some(DepthSource::Map),
+                [Free, Possible, Possible, Possible, Unseen],
+            ),
+            (Some(DepthSource::SfmPoint), [Possible; 5]),
+            (None, [Possible; 5]),
+        ] {
+            let space = free_space(source);
+            assert_eq!(at.map(|p| space.judge(p, 0.8)), judged, "{source:?}");
+        }
     }
 }

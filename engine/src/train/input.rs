@@ -10,7 +10,8 @@ use crate::view::TrainView;
 #[derive(Clone, Debug, Default)]
 pub struct BackgroundInput {
     pub views: Vec<TrainView>,
-    /// Returns of the static scene, all sweeps of the training frames; they seed bricks and density.
+    /// Returns of the static scene, all sweeps of the training frames, and what stands in for returns: points of depth maps and
+    /// of structure from motion. They seed bricks and density, and bound the box.
     pub lidar_points: Vec<[f32; 3]>,
     /// Camera or ego positions of the drive, in order; the finest voxels follow them.
     pub ego_path: Vec<DVec3>,

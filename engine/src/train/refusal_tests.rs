@@ -22,7 +22,7 @@ fn refusal_of(break_it: impl FnOnce(&mut BackgroundInput)) -> String {
 #[test]
 fn bad_input_is_refused_by_frame_and_field_before_any_step() {
     type Case = (&'static str, &'static str, fn(&mut BackgroundInput));
-    let cases: [Case; 14] = [
+    let cases: [Case; 15] = [
         ("frame 3", "local_from_camera", |i| {
             i.views[3].local_from_camera.translation_m.x = f64::NAN
         }),
@@ -53,6 +53,9 @@ fn bad_input_is_refused_by_frame_and_field_before_any_step() {
         ("frame 5", "labels", |i| i.views[5].labels.truncate(7)),
         ("frame 6", "rgb", |i| i.views[6].rgb.clear()),
         ("frame 1", "depth 0", |i| i.views[1].depth[0].range_m = -1.0),
+        ("frame 1", "has weight NaN", |i| {
+            i.views[1].depth[0].weight = f32::NAN
+        }),
         ("lidar_points[2]", "not finite", |i| {
             i.lidar_points[2][1] = f32::INFINITY
         }),

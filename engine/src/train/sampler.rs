@@ -65,7 +65,7 @@ enum Subject {
 #[derive(Debug)]
 pub(super) struct Sampler<'a> {
     views: Vec<(u32, &'a TrainView, PixelWindow)>,
-    /// Views with LiDAR returns.
+    /// Views with depths.
     depth_views: Vec<(u32, &'a TrainView)>,
     subject: Subject,
     seed: u64,
@@ -216,7 +216,7 @@ impl<'a> Sampler<'a> {
         let [x, y] = depth.pixel.map(f64::from);
         let mut ray = bare_ray(number, view, DVec2::new(x, y), draws);
         ray.range_m = depth.range_m;
-        ray.range_weight = mix.depth_weight / depth_rays as f32;
+        ray.range_weight = mix.depth_weight * depth.weight / depth_rays as f32;
         ray.t_max = depth.range_m + mix.depth_margin_m;
         self.maybe_mirrored(ray, mix, draws)
     }

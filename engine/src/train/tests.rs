@@ -97,10 +97,7 @@ fn view(number: u32, pose: Rigid, object: bool) -> TrainView {
             });
             if let (Some((t, _)), 0) = (hit, (x + 3 * y) % 5) {
                 let pixel = pixel.as_vec2().to_array();
-                view.depth.push(DepthReturn {
-                    pixel,
-                    range_m: t as f32,
-                });
+                view.depth.push(DepthReturn::lidar(pixel, t as f32));
             }
         }
     }

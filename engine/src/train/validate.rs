@@ -94,6 +94,12 @@ fn validate_depth(frame: &str, view: &TrainView) -> Result<()> {
                 depth.range_m
             )));
         }
+        if !(depth.weight.is_finite() && depth.weight > 0.0) {
+            return Err(Error::invalid(format!(
+                "{frame}: depth {number} has weight {}, which is not finite and positive",
+                depth.weight
+            )));
+        }
     }
     Ok(())
 }

@@ -167,9 +167,9 @@ fn returns(
     let every = (0..hits.len()).filter(|i| (i % width + 3 * (i / width)).is_multiple_of(nth));
     every
         .filter_map(|i| Some((i, hits[i].filter(|h| wanted(h))?)))
-        .map(|(i, hit)| DepthReturn {
-            pixel: [(i % width) as f32 + 0.5, (i / width) as f32 + 0.5],
-            range_m: hit.t as f32,
+        .map(|(i, hit)| {
+            let pixel = [(i % width) as f32 + 0.5, (i / width) as f32 + 0.5];
+            DepthReturn::lidar(pixel, hit.t as f32)
         })
         .collect()
 }

@@ -4,15 +4,18 @@ use std::collections::HashSet;
 
 use backlot_engine::scene::{RecordedCamera, RecordedFrame, RecordedTrack, Recording};
 use backlot_engine::train::BackgroundInput;
-use backlot_engine::view::{DepthReturn, PixelLabel, Split, TrainView};
+use backlot_engine::view::{DepthReturn, DepthSource, PixelLabel, Split, TrainView};
 
 use super::background_labels::{background_labels, moving_tracks};
 use super::content::LogBlobs;
 use super::frame::{FrameError, FrameLoader, LoadedFrame};
 use super::held_out::split_frames;
+use super::projected::ProjectedReturn;
 use super::raster::{area_average, merge_area};
 use crate::domain::drive_log::DriveLog;
 
+/// Samples of a depth map that a view keeps: a few times a scanner's returns, so that a log of maps fits in memory.
+const MOST_MAP_SAMPLES: usize = 8_000;
 /// Points closer together than this seed the same voxels.
 const POINT_SPACING_M: f64 = 0.05;
 
@@ -22,6 +25,8 @@ pub struct BackgroundSet {
     pub input: BackgroundInput,
     /// Size of the first camera's images as they are trained.
     pub image_size: (u32, u32),
+    /// For the quality report: where depth comes from if not from LiDAR, or that there is none.
+    pub depth_warning: Option<String>,
 }
 
 /// Builds the training set in the log's local frame. Images are shrunk until their longer side is at most
@@ -55,19 +60,17 @@ pub fn background_set<B: LogBlobs>(
         }
         let Some(split) = splits[index] else { continue };
         let loaded = loader.load(index)?;
+        let labels = background_labels(log, &moving, &loaded);
+        let depths = static_depths(&loaded, &moving, &labels);
         if split == Split::Train {
-            add_seeds(log, &moving, &loaded, &mut seeds, &mut input.lidar_points);
+            add_seeds(log, &depths.seeds, &mut seeds, &mut input.lidar_points);
         }
-        input.views.push(background_view(
-            log,
-            &moving,
-            &loaded,
-            split,
-            longer_side_px,
-        ));
+        let view = background_view(log, &loaded, &labels, &depths.returns, longer_side_px);
+        input.views.push(TrainView { split, ..view });
     }
     let camera = &log.cameras[0].camera;
     Ok(Some(BackgroundSet {
+        depth_warning: depth_warning(&input.views),
         input,
         image_size: trained_size((camera.width, camera.height), longer_side_px),
     }))
@@ -152,35 +155,29 @@ fn splits(log: &DriveLog, order: &[usize], every: usize) -> Vec<Option<Split>> {
 
 fn background_view(
     log: &DriveLog,
-    moving: &[bool],
     loaded: &LoadedFrame,
-    split: Split,
+    full: &[PixelLabel],
+    returns: &[&ProjectedReturn],
     longer_side_px: u32,
 ) -> TrainView {
     let from = (loaded.camera.width, loaded.camera.height);
     let to = trained_size(from, longer_side_px);
     let camera = loaded.camera.resized(to.0, to.1);
-    let full = background_labels(log, moving, loaded);
-    let width = from.0 as usize;
     let scale = camera.focal_px / loaded.camera.focal_px;
-    let depth = static_returns(loaded, moving)
-        .filter(|r| {
-            let at = r.pixel.y as usize * width + r.pixel.x as usize;
-            full[at] == PixelLabel::Foreground
-        })
-        .map(|r| DepthReturn {
-            pixel: (r.pixel * scale).as_vec2().to_array(),
-            range_m: r.range_m as f32,
-        })
-        .collect();
+    let depth = returns.iter().map(|r| DepthReturn {
+        pixel: (r.pixel * scale).as_vec2().to_array(),
+        range_m: r.range_m as f32,
+        source: r.source,
+        weight: r.weight,
+    });
     TrainView {
         frame_index: loaded.frame.frame_index,
         camera,
         local_from_camera: log.local_from_world * loaded.world_from_camera,
         rgb: area_average(&loaded.rgb, from, to),
-        labels: merge_area(&full, from, to, merged_label),
-        depth,
-        split,
+        labels: merge_area(full, from, to, merged_label),
+        depth: depth.collect(),
+        split: Split::Train,
     }
 }
 
@@ -193,30 +190,91 @@ fn merged_label(a: PixelLabel, b: PixelLabel) -> PixelLabel {
     }
 }
 
-fn static_returns<'a>(
+/// What a frame says about the depth of the static scene.
+struct StaticDepths<'a> {
+    /// Those that supervise its pixels.
+    returns: Vec<&'a ProjectedReturn>,
+    /// Those that say where surfaces are: LiDAR also on ground that is not learned from, such as a mover's shadow.
+    seeds: Vec<&'a ProjectedReturn>,
+}
+
+fn static_depths<'a>(
     loaded: &'a LoadedFrame,
-    moving: &'a [bool],
-) -> impl Iterator<Item = &'a super::projected::ProjectedReturn> {
-    loaded.returns.iter().filter(|r| {
+    moving: &[bool],
+    labels: &[PixelLabel],
+) -> StaticDepths<'a> {
+    let width = loaded.camera.width as usize;
+    let is_scene = |r: &ProjectedReturn| {
+        labels[r.pixel.y as usize * width + r.pixel.x as usize] == PixelLabel::Foreground
+    };
+    let of_maps = loaded
+        .returns
+        .iter()
+        .filter(|r| r.source == DepthSource::Map);
+    let nth = of_maps.count().div_ceil(MOST_MAP_SAMPLES).max(1);
+    let mut maps_seen = 0;
+    let mut depths = StaticDepths {
+        returns: Vec::new(),
+        seeds: Vec::new(),
+    };
+    for r in &loaded.returns {
+        if r.source == DepthSource::Map {
+            maps_seen += 1;
+            if maps_seen % nth != 0 {
+                continue;
+            }
+        }
         let on_mover = r.owner.is_some_and(|owner| moving[owner.track]);
-        !on_mover && !r.occluded
-    })
+        if on_mover || r.occluded {
+            continue;
+        }
+        let is_scene = is_scene(r);
+        if is_scene {
+            depths.returns.push(r);
+        }
+        // Only what was measured lies where it says and not on the mover beside it.
+        if is_scene || r.source == DepthSource::Lidar {
+            depths.seeds.push(r);
+        }
+    }
+    depths
 }
 
 fn add_seeds(
     log: &DriveLog,
-    moving: &[bool],
-    loaded: &LoadedFrame,
+    seeds: &[&ProjectedReturn],
     seen: &mut HashSet<[i32; 3]>,
     points: &mut Vec<[f32; 3]>,
 ) {
-    for r in static_returns(loaded, moving) {
+    for r in seeds {
         let local_m = log.local_from_world.point(r.world_m);
         let cell = (local_m / POINT_SPACING_M).floor().as_ivec3().to_array();
         if seen.insert(cell) {
             points.push(local_m.as_vec3().to_array());
         }
     }
+}
+
+/// What the report says about a background whose depth is not LiDAR's; `None` if LiDAR hit the static scene.
+fn depth_warning(views: &[TrainView]) -> Option<String> {
+    let has = |source| {
+        let mut depths = views.iter().flat_map(|view| &view.depth);
+        depths.any(|d| d.source == source)
+    };
+    let sources = match (has(DepthSource::Map), has(DepthSource::SfmPoint)) {
+        _ if has(DepthSource::Lidar) => return None,
+        (false, false) => {
+            let what =
+                "no LiDAR, depth map or SfM point on the static scene: trained without depth";
+            return Some(what.to_owned());
+        }
+        (true, false) => "depth maps",
+        (false, true) => "SfM points",
+        (true, true) => "depth maps and SfM points",
+    };
+    Some(format!(
+        "no LiDAR on the static scene: depth is that of the log's {sources}, and so are its errors"
+    ))
 }
 
 #[cfg(test)]

@@ -28,7 +28,7 @@ const DRIVING: usize = 1;
 const HIDDEN: usize = 2;
 
 #[derive(Default)]
-struct Blobs(BTreeMap<Digest, Bytes>);
+pub(super) struct Blobs(BTreeMap<Digest, Bytes>);
 
 impl LogBlobs for Blobs {
     type Error = Infallible;
@@ -73,7 +73,7 @@ fn track(track_id: &str, start_m: DVec3, speed_m: f64) -> Track {
 }
 
 /// The ego drives 0.3 m a frame; `with_masks` decides whether the log has instance masks.
-fn street(with_masks: bool) -> (DriveLog, Blobs) {
+pub(super) fn street(with_masks: bool) -> (DriveLog, Blobs) {
     let camera = LogCamera {
         camera_id: "front".into(),
         camera: Camera {
@@ -102,6 +102,7 @@ fn street(with_masks: bool) -> (DriveLog, Blobs) {
         world_from_ego: Trajectory::new(ego.collect()),
         frames: Vec::new(),
         sweeps: Vec::new(),
+        sfm_points: None,
         tracks: vec![
             track("parked", DVec3::new(14.0, 3.0, 0.75), 0.0),
             track("driving", DVec3::new(11.0, -2.5, 0.75), 0.8),
@@ -130,6 +131,7 @@ fn frame(log: &DriveLog, i: usize, with_masks: bool, blobs: &mut Blobs) -> Camer
         image: BlobRef::of(&[]),
         instance_mask: None,
         sky_mask: None,
+        depth_map: None,
     };
     let camera = &log.cameras[0].camera;
     let mut rgb = RgbImage::from_pixel(camera.width, camera.height, ::image::Rgb([80; 3]));

@@ -1,11 +1,15 @@
-//! One frame of a log, decoded: image, masks and the LiDAR returns that fall into it.
+//! One frame of a log, decoded: image, masks, and the LiDAR returns and other depths that fall into it.
 
 use backlot_engine::camera::{Camera, Rigid};
 
 use super::content::LogBlobs;
-use super::image::{ImageError, decode_instance_mask, decode_rgb, decode_sky_mask};
+use super::depth_map::map_returns;
+use super::image::{
+    ImageError, decode_depth_map, decode_instance_mask, decode_rgb, decode_sky_mask,
+};
 use super::lidar::{WorldReturn, nearest_sweeps, place_sweep};
 use super::projected::{ProjectedReturn, project_returns};
+use super::sfm::SfmCloud;
 use crate::domain::drive_log::{CameraFrame, DriveLog};
 use crate::error::ErrorKind;
 
@@ -57,6 +61,7 @@ pub(crate) struct LoadedFrame {
     pub instance: Option<Vec<u16>>,
     /// 255 = sky.
     pub sky: Option<Vec<u8>>,
+    /// LiDAR returns, then samples of the depth map, then points of structure from motion.
     pub returns: Vec<ProjectedReturn>,
 }
 
@@ -66,6 +71,8 @@ pub(crate) struct FrameLoader<'a, B> {
     log: &'a DriveLog,
     blobs: &'a B,
     sweeps: Vec<(usize, Vec<WorldReturn>)>,
+    /// Read once.
+    sfm: Option<SfmCloud>,
 }
 
 impl<'a, B: LogBlobs> FrameLoader<'a, B> {
@@ -74,6 +81,7 @@ impl<'a, B: LogBlobs> FrameLoader<'a, B> {
             log,
             blobs,
             sweeps: Vec::new(),
+            sfm: None,
         }
     }
 
@@ -106,17 +114,21 @@ impl<'a, B: LogBlobs> FrameLoader<'a, B> {
             Some(blob) => Some(self.image(frame, "sky mask", blob, |b| decode_sky_mask(b, size))?),
             None => None,
         };
-        let frame = frame.clone();
-        let placed = self.place_sweeps(&frame)?;
-        let returns = project_returns(
+        let placed = self.place_sweeps(frame)?;
+        let mut returns = project_returns(
             &placed,
             &self.log.tracks,
             &camera,
             &world_from_camera,
             frame.timestamp_ns,
         );
+        returns.extend(self.map_returns(frame, &camera, &world_from_camera)?);
+        self.read_sfm()?;
+        if let Some(cloud) = &self.sfm {
+            returns.extend(cloud.returns(self.log, index, &camera, &world_from_camera));
+        }
         Ok(LoadedFrame {
-            frame,
+            frame: frame.clone(),
             camera,
             world_from_camera,
             rgb,
@@ -140,6 +152,36 @@ impl<'a, B: LogBlobs> FrameLoader<'a, B> {
             what,
             source,
         })
+    }
+
+    fn map_returns(
+        &self,
+        frame: &CameraFrame,
+        camera: &Camera,
+        world_from_camera: &Rigid,
+    ) -> Result<Vec<ProjectedReturn>, FrameError<B::Error>> {
+        let Some(map) = &frame.depth_map else {
+            return Ok(Vec::new());
+        };
+        let size = (camera.width, camera.height);
+        let units = self.image(frame, "depth map", &map.image, |b| {
+            decode_depth_map(b, size)
+        })?;
+        let at_ns = frame.timestamp_ns;
+        let placed = map_returns(self.log, at_ns, map, &units, camera, world_from_camera);
+        Ok(placed)
+    }
+
+    fn read_sfm(&mut self) -> Result<(), FrameError<B::Error>> {
+        if let (None, Some(sfm)) = (&self.sfm, &self.log.sfm_points) {
+            let read = |blob| self.blobs.read(blob).map_err(FrameError::Blob);
+            let points = read(&sfm.points)?;
+            let observations = sfm.observations.as_ref().map(read).transpose()?;
+            let frames = self.log.frames.len();
+            let cloud = SfmCloud::new(sfm, &points, observations.as_deref(), frames);
+            self.sfm = Some(cloud);
+        }
+        Ok(())
     }
 
     fn place_sweeps(

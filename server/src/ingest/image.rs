@@ -49,6 +49,18 @@ pub(crate) fn decode_rgb(bytes: &[u8], size: (u32, u32)) -> Result<Vec<u8>, Imag
 /// # Errors
 /// As [`decode_rgb`], and if it is not 16-bit grey.
 pub(crate) fn decode_instance_mask(bytes: &[u8], size: (u32, u32)) -> Result<Vec<u16>, ImageError> {
+    decode_grey16(bytes, size)
+}
+
+/// Decodes a depth map to its units: 16-bit grey, row-major.
+///
+/// # Errors
+/// As [`decode_rgb`], and if it is not 16-bit grey.
+pub(crate) fn decode_depth_map(bytes: &[u8], size: (u32, u32)) -> Result<Vec<u16>, ImageError> {
+    decode_grey16(bytes, size)
+}
+
+fn decode_grey16(bytes: &[u8], size: (u32, u32)) -> Result<Vec<u16>, ImageError> {
     match decode(bytes, size)? {
         DynamicImage::ImageLuma16(mask) => Ok(mask.into_raw()),
         other => Err(ImageError::Colour {

@@ -3,6 +3,7 @@
 use backlot_engine::camera::Rigid;
 use glam::DVec3;
 
+use super::movers::is_moving;
 use super::points::{SweepPoint, decode_points};
 use crate::domain::drive_log::{DriveLog, LidarSweep, Track};
 
@@ -30,33 +31,55 @@ pub(crate) struct Owner {
 
 /// Places the points of a sweep; points at times the ego trajectory does not cover are dropped.
 pub(crate) fn place_sweep(log: &DriveLog, sweep: &LidarSweep, bytes: &[u8]) -> Vec<WorldReturn> {
-    let nearby: Vec<Nearby<'_>> = log
-        .tracks
-        .iter()
-        .enumerate()
-        .filter_map(|(index, track)| {
-            let state = track.nearest_state(sweep.timestamp_ns)?;
-            let reach_m = track.size_m.length() / 2.0 + OWNER_MARGIN_M + SWEEP_MOTION_M;
-            Some(Nearby {
-                index,
-                track,
-                centre_m: state.world_from_cuboid.translation_m,
-                reach_m,
-            })
-        })
-        .collect();
+    let tracks = NearbyTracks::at(log, sweep.timestamp_ns);
     let mut ego = EgoAt::new(log, sweep);
     decode_points(bytes, sweep.format)
         .filter_map(|point| {
             let timestamp_ns = sweep.timestamp_ns.checked_add(point.delay_ns)?;
             let world_m = ego.place(&point, timestamp_ns)?;
-            let owner = nearby
-                .iter()
-                .filter(|n| world_m.distance_squared(n.centre_m) < n.reach_m * n.reach_m)
-                .find_map(|n| owner_in(n, world_m, timestamp_ns));
+            let owner = tracks.owner_of(world_m, timestamp_ns);
             Some(WorldReturn { world_m, owner })
         })
         .collect()
+}
+
+/// The tracks around a moment, to be asked for points of about that time.
+pub(super) struct NearbyTracks<'a>(Vec<Nearby<'a>>);
+
+impl<'a> NearbyTracks<'a> {
+    pub(super) fn at(log: &'a DriveLog, timestamp_ns: i64) -> Self {
+        Self::of(log, timestamp_ns, |_| true)
+    }
+
+    /// Those that never move.
+    pub(super) fn standing_at(log: &'a DriveLog, timestamp_ns: i64) -> Self {
+        Self::of(log, timestamp_ns, |track| !is_moving(track))
+    }
+
+    fn of(log: &'a DriveLog, timestamp_ns: i64, wanted: impl Fn(&Track) -> bool) -> Self {
+        let tracks = log.tracks.iter().enumerate();
+        let nearby = tracks
+            .filter(|(_, track)| wanted(track))
+            .filter_map(|(index, track)| {
+                let state = track.nearest_state(timestamp_ns)?;
+                let reach_m = track.size_m.length() / 2.0 + OWNER_MARGIN_M + SWEEP_MOTION_M;
+                Some(Nearby {
+                    index,
+                    track,
+                    centre_m: state.world_from_cuboid.translation_m,
+                    reach_m,
+                })
+            });
+        Self(nearby.collect())
+    }
+
+    /// The track whose cuboid holds the position at a time.
+    pub(super) fn owner_of(&self, world_m: DVec3, timestamp_ns: i64) -> Option<Owner> {
+        self.0
+            .iter()
+            .filter(|n| world_m.distance_squared(n.centre_m) < n.reach_m * n.reach_m)
+            .find_map(|n| owner_in(n, world_m, timestamp_ns))
+    }
 }
 
 struct Nearby<'a> {

@@ -16,6 +16,9 @@ mod validate_tests;
 mod lidar;
 mod projected;
 
+mod depth_map;
+mod sfm;
+
 mod frame;
 mod held_out;
 mod sky;

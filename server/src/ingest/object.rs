@@ -216,6 +216,8 @@ fn cut(subject: &Subject<'_>, labels: Vec<PixelLabel>) -> TrainView {
             (labels.get(index) == Some(&PixelLabel::Foreground)).then(|| DepthReturn {
                 pixel: (at * scale).as_vec2().to_array(),
                 range_m: r.range_m as f32,
+                source: r.source,
+                weight: r.weight,
             })
         })
         .collect();

@@ -157,7 +157,7 @@ impl Subject<'_> {
         for r in &self.loaded.returns {
             let passes = self
                 .cuboid_range(r)
-                .is_some_and(|(_, exit_m)| r.range_m > exit_m + DEPTH_SLACK_M);
+                .is_some_and(|(_, exit_m)| r.proven_m() > exit_m + DEPTH_SLACK_M);
             if passes && !r.occluded {
                 self.splat(r.pixel, 0.5, |i| {
                     if labels[i] == PixelLabel::Unknown && !near_object[i] {

@@ -1,6 +1,7 @@
-//! LiDAR returns as a camera sees them at a frame's own time, without those that something nearer hides.
+//! LiDAR returns, and what stands in for them, as a camera sees them at a frame's own time, without those that something nearer hides.
 
 use backlot_engine::camera::{Camera, Rigid};
+use backlot_engine::view::DepthSource;
 use glam::{DVec2, DVec3};
 
 use super::lidar::{Owner, WorldReturn};
@@ -18,6 +19,22 @@ pub(crate) struct ProjectedReturn {
     pub owner: Option<Owner>,
     /// Hidden from the camera by a nearer return: the LiDAR sits elsewhere and sees past edges.
     pub occluded: bool,
+    pub source: DepthSource,
+    /// Weight of its depth loss relative to a LiDAR return's.
+    pub weight: f32,
+}
+
+/// Maps may be wrong by this part of the range.
+const MAP_ERROR: f64 = 0.15;
+
+impl ProjectedReturn {
+    /// The least distance that it proves.
+    pub(crate) fn proven_m(&self) -> f64 {
+        match self.source {
+            DepthSource::Lidar | DepthSource::SfmPoint => self.range_m,
+            DepthSource::Map => self.range_m * (1.0 - MAP_ERROR),
+        }
+    }
 }
 
 /// A nearer return hides a farther one if they are this far apart: a fraction of the range and metres.
@@ -54,18 +71,21 @@ pub(crate) fn project_returns(
                 world_m,
                 owner: r.owner,
                 occluded: false,
+                source: DepthSource::Lidar,
+                weight: 1.0,
             })
         })
         .collect();
-    mark_occluded(&mut projected, camera);
+    mark_occluded(&mut projected, camera, 0.0);
     projected
 }
 
 /// A return is hidden if clearly nearer returns lie around it: above and below within the window. On ground that rises
-/// in the image away from the camera the returns above are farther, so it never hides itself.
-fn mark_occluded(returns: &mut [ProjectedReturn], camera: &Camera) {
+/// in the image away from the camera the returns above are farther, so it never hides itself. The window is that of a scanner,
+/// and at least `least_px` each way.
+pub(super) fn mark_occluded(returns: &mut [ProjectedReturn], camera: &Camera, least_px: f64) {
     let window = camera.focal_px * DVec2::new(WINDOW_X_RAD, WINDOW_Y_RAD);
-    let window = window.max(DVec2::splat(1.5));
+    let window = window.max(DVec2::splat(least_px.max(1.5)));
     let cells = Cells::new(returns, window, camera);
     for i in 0..returns.len() {
         let here = returns[i];

@@ -4,6 +4,7 @@
 //! (overcast grey, sky between leaves) stays unlabelled, which costs nothing but the push towards empty space.
 
 use backlot_engine::camera::{Camera, Rigid};
+use backlot_engine::view::DepthSource;
 use glam::DVec2;
 
 use super::projected::ProjectedReturn;
@@ -29,7 +30,8 @@ pub(super) fn find_sky(
 ) -> Vec<bool> {
     let (width, height) = (camera.width as usize, camera.height as usize);
     let mut solid = vec![false; width * height];
-    for r in returns {
+    // Monocular maps give the sky a depth too.
+    for r in returns.iter().filter(|r| r.source == DepthSource::Lidar) {
         solid[r.pixel.y as usize * width + r.pixel.x as usize] = true;
     }
     let candidate = candidates(rgb, camera, world_from_camera);
@@ -135,6 +137,8 @@ mod tests {
             world_m: DVec3::ZERO,
             owner: None,
             occluded: false,
+            source: DepthSource::Lidar,
+            weight: 1.0,
         };
         let sky = find_sky(&rgb, &camera, &pose, &[wall]);
         assert_eq!(sky.iter().filter(|&&s| s).count(), 20 * 80);

@@ -177,13 +177,25 @@ fn check_states(i: usize, track: &Track, violations: &mut Violations) {
     }
 }
 
+fn depth_without_lidar(log: &DriveLog) -> &'static str {
+    let has_maps = log.frames.iter().any(|f| f.depth_map.is_some());
+    match (has_maps, log.sfm_points.is_some()) {
+        (true, false) => "the log has no LiDAR: depth is that of its depth maps",
+        (false, true) => "the log has no LiDAR: depth is that of its SfM points",
+        (true, true) => "the log has no LiDAR: depth is that of its depth maps and SfM points",
+        (false, false) => {
+            "the log has no LiDAR, depth map or SfM point: fields are trained without depth"
+        }
+    }
+}
+
 /// Tracks named in one warning.
 const MAX_NAMED: usize = 5;
 
 fn warnings(log: &DriveLog) -> Vec<String> {
     let mut warnings = Vec::new();
     if log.sweeps.is_empty() {
-        warnings.push("the log has no LiDAR: fields are trained without depth".to_owned());
+        warnings.push(depth_without_lidar(log).to_owned());
     }
     if log.frames.iter().any(|f| f.readout_ns > 0) {
         warnings.push("rolling shutter: each image is used with the pose of its middle row".into());

@@ -268,3 +268,172 @@ fn a_track_that_no_camera_sees_is_a_warning() {
     let Ok(accepted) = validate(&log, &blobs);
     assert_eq!(accepted.unwrap().warnings, ["no camera sees track 7"]);
 }
+
+fn depth_map(image: v1::BlobRef) -> v1::DepthMap {
+    v1::DepthMap {
+        image: Some(image),
+        unit_m: 1.0 / 256.0,
+        kind: v1::DepthMapKind::Stereo.into(),
+        weight: 0.0,
+    }
+}
+
+fn sfm_bytes(points: &[[f64; 3]]) -> Vec<u8> {
+    let numbers = points.as_flattened().iter();
+    numbers.flat_map(|v| v.to_le_bytes()).collect()
+}
+
+fn observation_bytes(pairs: &[[u32; 2]]) -> Vec<u8> {
+    let numbers = pairs.as_flattened().iter();
+    numbers.flat_map(|v| v.to_le_bytes()).collect()
+}
+
+#[test]
+fn depth_without_lidar_is_accepted_and_comes_back_and_named_in_a_warning() {
+    type Edit = fn(&mut v1::DriveLog, &mut Blobs);
+    let maps: Edit = |log, blobs| {
+        let map = depth_map(blobs.add(mask_png(900)));
+        log.frames[1].depth_map = Some(map);
+    };
+    let points: Edit = |log, blobs| {
+        let points = sfm_bytes(&[[9.0, 1.0, 0.5], [8.0, 0.0, 0.1]]);
+        let observations = observation_bytes(&[[1, 0], [0, 2]]);
+        log.sfm_points = Some(v1::SfmPoints {
+            points: Some(blobs.add(points)),
+            observations: Some(blobs.add(observations)),
+            weight: 0.4,
+        });
+    };
+    let cases: [(&[Edit], &str); 4] = [
+        (&[], "no LiDAR, depth map or SfM point"),
+        (&[maps], "its depth maps"),
+        (&[points], "its SfM points"),
+        (&[maps, points], "its depth maps and SfM points"),
+    ];
+    for (edits, named) in cases {
+        let mut blobs = Blobs::default();
+        let mut log = log(&mut blobs);
+        log.sweeps.clear();
+        edits.iter().for_each(|edit| edit(&mut log, &mut blobs));
+        let read = drive_log_from_wire(log.clone()).unwrap();
+        let Ok(accepted) = validate(&read, &blobs);
+        let warnings = accepted.unwrap().warnings;
+        assert_eq!(warnings.len(), 1, "{warnings:?}");
+        assert!(warnings[0].contains(named), "{warnings:?}");
+        let back = drive_log_to_wire(&read);
+        assert_eq!(back.frames, log.frames);
+        assert_eq!(back.sfm_points, log.sfm_points);
+        assert_eq!(
+            DriveLog::from_manifest(&read.to_manifest()).unwrap(),
+            read,
+            "stored and read again"
+        );
+    }
+}
+
+#[test]
+fn the_stored_form_of_a_log_without_depth_maps_is_what_it_was() {
+    let mut blobs = Blobs::default();
+    let read = drive_log_from_wire(log(&mut blobs)).unwrap();
+    let stored = String::from_utf8(read.to_manifest()).unwrap();
+    assert!(!stored.contains("depth_map") && !stored.contains("sfm"));
+}
+
+#[test]
+fn a_depth_map_that_cannot_be_used_is_refused() {
+    type Break = fn(&mut v1::DepthMap, &mut Blobs);
+    let cases: [(&str, Break); 9] = [
+        (
+            "image: (camera image_02, frame 37) depth map is 8x6, differs from the camera's 16x12",
+            |m, b| {
+                let small: ImageBuffer<Luma<u16>, _> = ImageBuffer::from_pixel(8, 6, Luma([9]));
+                m.image = Some(b.add(png(small)));
+            },
+        ),
+        ("depth map is L8, not 16-bit grey", |m, b| {
+            m.image = Some(b.add(png(image::GrayImage::new(16, 12))));
+        }),
+        ("depth map has no known pixel", |m, b| {
+            m.image = Some(b.add(mask_png(0)))
+        }),
+        ("does not decode", |m, b| {
+            m.image = Some(b.add(mask_png(7)[..60].to_vec()));
+        }),
+        (
+            "unit_m: (camera image_02, frame 37) is 0, not finite and positive",
+            |m, _| {
+                m.unit_m = 0.0;
+            },
+        ),
+        ("unit_m: (camera image_02, frame 37) is NaN", |m, _| {
+            m.unit_m = f64::NAN
+        }),
+        ("unit_m: (camera image_02, frame 37) is -1", |m, _| {
+            m.unit_m = -1.0
+        }),
+        ("kind: (camera image_02, frame 37) is 0, neither", |m, _| {
+            m.kind = 0
+        }),
+        (
+            "weight: (camera image_02, frame 37) is 11, not within",
+            |m, _| m.weight = 11.0,
+        ),
+    ];
+    for (named, break_it) in cases {
+        let error = violation(|log, blobs| {
+            let mut map = depth_map(blobs.add(mask_png(900)));
+            break_it(&mut map, blobs);
+            log.frames[1].depth_map = Some(map);
+        });
+        assert!(
+            error.starts_with("frames[1].depth_map") && error.contains(named),
+            "{error} does not say {named}"
+        );
+    }
+}
+
+#[test]
+fn sfm_points_that_cannot_be_used_are_refused() {
+    type Break = fn(&mut v1::SfmPoints, &mut Blobs);
+    let cases: [(&str, Break); 7] = [
+        ("sfm_points.points: has no point", |s, b| {
+            s.points = Some(b.add(Vec::new()))
+        }),
+        ("sfm_points.points: 47 bytes are cut off", |s, b| {
+            s.points = Some(b.add(vec![0; 47]));
+        }),
+        (
+            "sfm_points.points: point 1 is [0, NaN, 0], not finite",
+            |s, b| {
+                s.points = Some(b.add(sfm_bytes(&[[1.0; 3], [0.0, f64::NAN, 0.0]])));
+            },
+        ),
+        ("sfm_points.observations: 12 bytes are cut off", |s, b| {
+            s.observations = Some(b.add(vec![0; 12]));
+        }),
+        (
+            "sfm_points.observations: observation 1 names point 2 and frame 0, the log has 2 points",
+            |s, b| {
+                s.observations = Some(b.add(observation_bytes(&[[0, 0], [2, 0]])));
+            },
+        ),
+        ("names point 0 and frame 3", |s, b| {
+            s.observations = Some(b.add(observation_bytes(&[[0, 3]])));
+        }),
+        ("sfm_points.weight: is -1, not within", |s, _| {
+            s.weight = -1.0
+        }),
+    ];
+    for (named, break_it) in cases {
+        let error = violation(|log, blobs| {
+            let mut sfm = v1::SfmPoints {
+                points: Some(blobs.add(sfm_bytes(&[[1.0; 3], [2.0; 3]]))),
+                observations: None,
+                weight: 0.0,
+            };
+            break_it(&mut sfm, blobs);
+            log.sfm_points = Some(sfm);
+        });
+        assert!(error.contains(named), "{error} does not say {named}");
+    }
+}

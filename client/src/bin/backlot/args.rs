@@ -126,6 +126,20 @@ pub(crate) struct StreetOptions {
     /// Path of the ego vehicle in a generated log.
     #[arg(long, value_name = "METRES")]
     pub travel_m: Option<f64>,
+    /// What a generated log says about depth.
+    #[arg(long, value_enum, value_name = "SOURCE")]
+    pub depth: Option<Depth>,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(crate) enum Depth {
+    /// Sweeps of a scanner; the default.
+    Lidar,
+    /// A monocular depth map for every image.
+    Maps,
+    /// Points of structure from motion.
+    Points,
+    None,
 }
 
 /// Which log of a data set, and the parts of a KITTI raw log that lie elsewhere.
@@ -143,6 +157,27 @@ pub(crate) struct LogParts {
     /// tracklet_labels.xml or a KITTI tracking label file; by default the drive's tracklet_labels.xml.
     #[arg(long, value_name = "FILE")]
     pub tracks: Option<PathBuf>,
+    /// Depth maps to read beside the log: DIR/CAMERA/FRAME.png, 16-bit grey, 0 is unknown, as KITTI's depth data.
+    #[arg(long, value_name = "DIR")]
+    pub depth_maps: Option<PathBuf>,
+    /// Metres along the optical axis in one unit of those maps [default: 1/256, as KITTI's].
+    #[arg(long, value_name = "METRES", requires = "depth_maps")]
+    pub depth_unit_m: Option<f64>,
+    /// How those maps were made, which decides how much they weigh.
+    #[arg(long, value_enum, default_value_t = DepthKind::Stereo, requires = "depth_maps")]
+    pub depth_kind: DepthKind,
+    /// Leave the log's LiDAR out.
+    #[arg(long)]
+    pub no_lidar: bool,
+}
+
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+pub(crate) enum DepthKind {
+    /// Triangulated between cameras of known baseline.
+    #[default]
+    Stereo,
+    /// Guessed from one image and brought to metres.
+    Monocular,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]

@@ -3,11 +3,13 @@
 use std::path::Path;
 
 use anyhow::Context;
-use backlot_client::generator::{StreetConfig, StreetWorld};
+use backlot_client::depth_maps::{DepthMapInputs, KITTI_UNIT_M, add_depth_maps};
+use backlot_client::generator::{DepthRecording, StreetConfig, StreetWorld};
 use backlot_client::log_format::{self, LogInputs};
 use backlot_client::read_log::ReadLog;
+use backlot_proto::v1;
 
-use crate::args::{LogFormat, LogParts, StreetOptions};
+use crate::args::{Depth, DepthKind, LogFormat, LogParts, StreetOptions};
 
 /// Where a log comes from.
 pub(crate) struct LogSource<'a> {
@@ -37,13 +39,27 @@ pub(crate) fn read_folder(
         Some(format) => format,
         None => log_format::LogFormat::detect(path)?,
     };
-    let log = format.read(&LogInputs {
+    let mut log = format.read(&LogInputs {
         path: path.to_owned(),
         scene: parts.scene.clone(),
         calib_dir: parts.calib_dir.clone(),
         poses: parts.poses.clone(),
         tracks: parts.tracks.clone(),
     })?;
+    if parts.no_lidar {
+        log.leave_lidar_out();
+    }
+    if let Some(folder) = &parts.depth_maps {
+        let inputs = DepthMapInputs {
+            folder: folder.clone(),
+            unit_m: parts.depth_unit_m.unwrap_or(KITTI_UNIT_M),
+            kind: match parts.depth_kind {
+                DepthKind::Stereo => v1::DepthMapKind::Stereo,
+                DepthKind::Monocular => v1::DepthMapKind::Monocular,
+            },
+        };
+        add_depth_maps(&mut log, &inputs)?;
+    }
     for note in &log.drive_log.notes {
         eprintln!("note: {note}");
     }
@@ -64,6 +80,17 @@ impl LogFormat {
     }
 }
 
+impl Depth {
+    fn recording(self) -> DepthRecording {
+        match self {
+            Self::Lidar => DepthRecording::Lidar,
+            Self::Maps => DepthRecording::Maps,
+            Self::Points => DepthRecording::Points,
+            Self::None => DepthRecording::None,
+        }
+    }
+}
+
 /// The demo's street with another seed, and as much of it as asked for.
 fn generate(seed: u64, street: &StreetOptions) -> anyhow::Result<ReadLog> {
     let demo = StreetConfig::default();
@@ -75,6 +102,7 @@ fn generate(seed: u64, street: &StreetOptions) -> anyhow::Result<ReadLog> {
         width: street.width.unwrap_or(demo.width),
         height: street.height.unwrap_or(demo.height),
         travel_m,
+        depth: street.depth.map_or(demo.depth, Depth::recording),
         ..demo
     };
     eprintln!("note: a generated log is synthetic: its images are ray-traced");

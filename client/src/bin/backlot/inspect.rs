@@ -4,7 +4,7 @@ use std::path::Path;
 
 use anyhow::Context;
 use backlot_client::inspect::{
-    CameraReport, LidarReport, LogReport, TrackReport, overlay, overlay_frames,
+    CameraReport, DepthReport, LidarReport, LogReport, TrackReport, overlay, overlay_frames,
 };
 use backlot_client::read_log::ReadLog;
 
@@ -82,6 +82,10 @@ fn print_tables(report: &LogReport) -> anyhow::Result<()> {
     println!();
     output::print(Output::Table, &report.lidars)?;
     println!();
+    if !report.depths.is_empty() {
+        output::print(Output::Table, &report.depths)?;
+        println!();
+    }
     output::print(Output::Table, &report.tracks)?;
     println!();
     for missing in &report.missing {
@@ -127,6 +131,22 @@ impl Row for LidarReport {
             self.sweeps.to_string(),
             format!("{:.1} Hz", self.rate_hz),
             self.points.to_string(),
+        ]
+    }
+}
+
+impl Row for DepthReport {
+    const COLUMNS: &'static [&'static str] = &["DEPTH", "IMAGES", "POINTS", "UNIT", "WEIGHT"];
+
+    fn cells(&self) -> Vec<String> {
+        let unit = |[least, most]: [f64; 2]| format!("{least:.3} to {most:.3} mm");
+        vec![
+            self.source.to_owned(),
+            self.images.to_string(),
+            self.points.to_string(),
+            self.unit_mm.map_or_else(String::new, unit),
+            self.weight
+                .map_or_else(|| "default".to_owned(), |weight| weight.to_string()),
         ]
     }
 }

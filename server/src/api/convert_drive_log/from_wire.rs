@@ -4,6 +4,7 @@ use backlot_engine::camera::{Camera, Distortion};
 use backlot_proto::v1;
 use glam::DVec2;
 
+use super::depth::{depth_map, sfm_points};
 use super::fields::{FieldReader, Place};
 use crate::domain::drive_log::{
     CameraFrame, DriveLog, LidarSweep, LogCamera, MANIFEST_VERSION, Occlusion, PointFormat,
@@ -49,6 +50,7 @@ pub fn drive_log_from_wire(log: v1::DriveLog) -> Result<DriveLog, Violations> {
         frames: each(log.frames, |i, f| frame(&mut fields, i, f)),
         sweeps: each(log.sweeps, |i, s| sweep(&mut fields, i, s)),
         tracks: each(log.tracks, |i, t| track(&mut fields, i, t)),
+        sfm_points: log.sfm_points.map(|sfm| sfm_points(&mut fields, sfm)),
         notes: log.notes,
         sun_direction_world,
     };
@@ -170,6 +172,9 @@ fn frame(fields: &mut FieldReader, i: usize, frame: v1::CameraFrame) -> CameraFr
         sky_mask: frame
             .sky_mask
             .map(|b| fields.blob_ref(&place.field("sky_mask"), b)),
+        depth_map: frame
+            .depth_map
+            .map(|map| depth_map(fields, &place.field("depth_map"), map)),
         camera_id: frame.camera_id,
     }
 }

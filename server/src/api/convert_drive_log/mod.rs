@@ -1,5 +1,6 @@
 //! Driving logs between the wire and the domain.
 
+mod depth;
 mod fields;
 mod from_wire;
 mod to_wire;

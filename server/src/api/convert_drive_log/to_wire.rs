@@ -7,8 +7,8 @@ use glam::DVec3;
 
 use crate::domain::blob::BlobRef;
 use crate::domain::drive_log::{
-    CameraFrame, DriveLog, LidarSweep, LogCamera, Occlusion, PointFormat, ReadoutDirection, Track,
-    TrackState,
+    CameraFrame, DepthMap, DepthMapKind, DriveLog, LidarSweep, LogCamera, Occlusion, PointFormat,
+    ReadoutDirection, SfmPoints, Track, TrackState,
 };
 
 /// Converts a stored log; the inverse of `drive_log_from_wire` up to the norms of quaternions.
@@ -33,6 +33,7 @@ pub fn drive_log_to_wire(log: &DriveLog) -> v1::DriveLog {
         tracks: log.tracks.iter().map(track).collect(),
         notes: log.notes.clone(),
         sun_direction_world: log.sun_direction_world.map(vector_to_wire),
+        sfm_points: log.sfm_points.as_ref().map(sfm_points),
         create_time: None,
         manifest: None,
     }
@@ -121,6 +122,28 @@ fn frame(frame: &CameraFrame) -> v1::CameraFrame {
         image: Some(blob(&frame.image)),
         instance_mask: frame.instance_mask.as_ref().map(blob),
         sky_mask: frame.sky_mask.as_ref().map(blob),
+        depth_map: frame.depth_map.as_ref().map(depth_map),
+    }
+}
+
+fn depth_map(map: &DepthMap) -> v1::DepthMap {
+    let kind = match map.kind {
+        DepthMapKind::Stereo => v1::DepthMapKind::Stereo,
+        DepthMapKind::Monocular => v1::DepthMapKind::Monocular,
+    };
+    v1::DepthMap {
+        image: Some(blob(&map.image)),
+        unit_m: map.unit_m,
+        kind: kind.into(),
+        weight: map.weight.unwrap_or(0.0),
+    }
+}
+
+fn sfm_points(sfm: &SfmPoints) -> v1::SfmPoints {
+    v1::SfmPoints {
+        points: Some(blob(&sfm.points)),
+        observations: sfm.observations.as_ref().map(blob),
+        weight: sfm.weight.unwrap_or(0.0),
     }
 }
 

@@ -3,9 +3,13 @@
 //! Conventions are those of the wire: metres, radians, int64 nanoseconds; camera frames x right, y down, z forward; every other
 //! frame x forward, y left, z up; transforms are named `target_from_source`.
 
+mod depth;
 mod track;
 mod trajectory;
 
+pub use depth::{
+    DEPTH_UNKNOWN, DepthMap, DepthMapKind, OBSERVATION_BYTES, SFM_POINT_BYTES, SfmPoints,
+};
 pub use track::{Occlusion, Track, TrackState};
 pub use trajectory::{TimedPose, Trajectory};
 
@@ -41,6 +45,9 @@ pub struct DriveLog {
     pub world_from_ego: Trajectory,
     pub frames: Vec<CameraFrame>,
     pub sweeps: Vec<LidarSweep>,
+    /// Absent in manifests of logs that have none, so that a log's bytes, and with them its identity, stay what they were.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub sfm_points: Option<SfmPoints>,
     pub tracks: Vec<Track>,
     /// What the reader ignored or assumed.
     pub notes: Vec<String>,
@@ -76,6 +83,9 @@ pub struct CameraFrame {
     pub instance_mask: Option<BlobRef>,
     /// 8-bit grey PNG: 255 = sky.
     pub sky_mask: Option<BlobRef>,
+    /// Absent in manifests as [`DriveLog::sfm_points`] is.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub depth_map: Option<DepthMap>,
 }
 
 /// The side from which a rolling shutter reads out.
@@ -175,7 +185,14 @@ impl DriveLog {
             std::iter::once(&f.image)
                 .chain(&f.instance_mask)
                 .chain(&f.sky_mask)
+                .chain(f.depth_map.as_ref().map(|d| &d.image))
         });
-        of_frames.chain(self.sweeps.iter().map(|s| &s.points))
+        let of_points = self
+            .sfm_points
+            .iter()
+            .flat_map(|sfm| std::iter::once(&sfm.points).chain(&sfm.observations));
+        of_frames
+            .chain(self.sweeps.iter().map(|s| &s.points))
+            .chain(of_points)
     }
 }

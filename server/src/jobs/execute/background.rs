@@ -31,11 +31,12 @@ pub(super) fn run(
     control: &JobControl,
 ) -> Result<Completion, Error> {
     let plan = Plan::new(job.spec.budget);
-    let BackgroundSet { input, image_size } = decode(job, log, port, control, &plan)?;
-    let mut warnings = Vec::new();
-    if input.lidar_points.is_empty() {
-        warnings.push("no LiDAR return on the static scene: trained without depth".to_owned());
-    }
+    let BackgroundSet {
+        input,
+        image_size,
+        depth_warning,
+    } = decode(job, log, port, control, &plan)?;
+    let mut warnings: Vec<String> = depth_warning.into_iter().collect();
     let (width, height) = image_size;
     let what = format!("background of {} at {width}x{height}", log.id);
     let run = RunControl::new(control, DECODED, TRAINED - DECODED, what);
