@@ -9,7 +9,7 @@ use backlot_client::read_log::{BlobSource, ReadLog};
 use backlot_engine::backend::cpu::CpuBackend;
 use backlot_engine::field::{Field, Ray};
 use backlot_engine::quality::render_rays;
-use backlot_engine::train::{Budget, NoControl, TrainPreset, train_background};
+use backlot_engine::train::{Budget, NoControl, RayMix, TrainPreset, train_background};
 use backlot_engine::view::{PixelLabel, Split, TrainView};
 use backlot_proto::v1;
 use backlot_server::api::convert_drive_log::drive_log_from_wire;
@@ -70,10 +70,7 @@ fn decomposed(log: ReadLog) -> BackgroundSet {
 /// Trains a small background and measures its distances on held-out frames against the exact ones, in metres.
 fn depth_error_m(world: &StreetWorld, log: ReadLog) -> f64 {
     let input = decomposed(log).input;
-    let preset = TrainPreset {
-        steps: 250,
-        ..TrainPreset::background(Budget::Quick)
-    };
+    let preset = small(TrainPreset::background(Budget::Quick));
     let trained = train_background(&input, &preset, 1, &CpuBackend, &NoControl);
     let field = trained.expect("the field trains").field;
     let held_out = input.views.iter().filter(|v| v.split == Split::HeldOut);
@@ -84,6 +81,23 @@ fn depth_error_m(world: &StreetWorld, log: ReadLog) -> f64 {
     errors.sort_by(f64::total_cmp);
     errors.truncate((errors.len() as f64 * SHARE) as usize);
     errors.iter().sum::<f64>() / errors.len() as f64
+}
+
+/// Coarse voxels and few rays: seconds of training, in which depth already differs.
+fn small(preset: TrainPreset) -> TrainPreset {
+    TrainPreset {
+        voxels_m: vec![1.6, 0.4],
+        level_reach_m: vec![f32::INFINITY; 2],
+        box_reach_m: 60.0,
+        steps: 250,
+        most_passes: f64::INFINITY,
+        mix: RayMix {
+            pixel_rays: 1_024,
+            depth_rays: 256,
+            ..preset.mix
+        },
+        ..preset
+    }
 }
 
 fn view_errors_m(world: &StreetWorld, field: &Field, view: &TrainView) -> Vec<f64> {

@@ -11,6 +11,8 @@ use serde_json::{Value, json};
 /// Time between frames in microseconds: nuScenes' cameras run at 12 Hz.
 const FRAME_US: u64 = 83_000;
 const START_US: u64 = 1_532_402_927_000_000;
+/// At which noise of nuScenes' size takes 2 MB.
+const QUALITY: u8 = 80;
 /// Every sixth image is a keyframe.
 const KEYFRAME_STEP: u32 = 6;
 /// Of the camera ahead; the others are turned about the vertical.
@@ -69,7 +71,7 @@ fn noise(size: &Size, seed: u32) -> Result<Vec<u8>> {
         .collect();
     let mut bytes = Cursor::new(Vec::new());
     let color = image::ExtendedColorType::Rgb8;
-    JpegEncoder::new_with_quality(&mut bytes, 75).encode(
+    JpegEncoder::new_with_quality(&mut bytes, QUALITY).encode(
         &pixels,
         size.width,
         size.height,

@@ -20,6 +20,8 @@ const NEAR_M: f64 = 4.0;
 const FAR_M: f64 = 60.0;
 /// Images wider than this have returns of two pixels.
 const WIDE_PX: u32 = 1000;
+/// Maps are drawn with gaps and points of structure from motion are few.
+const SPARSE_SIDE_PX: i64 = 3;
 const INK: Rgb<u8> = Rgb([255, 255, 255]);
 const STRIP: Rgb<u8> = Rgb([24, 24, 28]);
 const CAPTION_MARGIN_PX: u32 = 4;
@@ -75,7 +77,7 @@ pub fn overlay(log: &ReadLog, frame: &v1::CameraFrame) -> io::Result<RgbImage> {
     for (name, points) in [("DEPTH MAP", of_map), ("SFM", of_sfm)] {
         if !points.is_empty() {
             caption += &format!("  {name}");
-            draw_points(&mut image, points, camera.width);
+            draw_points(&mut image, points, SPARSE_SIDE_PX);
         }
     }
     draw_tracks(
@@ -148,14 +150,14 @@ fn draw_sweep(
             returns.push((pixel, p_camera.length()));
         }
     }
-    draw_points(image, returns, camera.width);
+    let side = if camera.width > WIDE_PX { 2 } else { 1 };
+    draw_points(image, returns, side);
     Ok(())
 }
 
-fn draw_points(image: &mut RgbImage, mut points: Vec<(DVec2, f64)>, width: u32) {
+fn draw_points(image: &mut RgbImage, mut points: Vec<(DVec2, f64)>, side: i64) {
     // Near ones last, so that they are seen.
     points.sort_by(|a, b| b.1.total_cmp(&a.1));
-    let side = if width > WIDE_PX { 2 } else { 1 };
     for (pixel, distance_m) in points {
         draw_return(image, pixel, side, distance_color(distance_m));
     }
