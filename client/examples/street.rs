@@ -33,7 +33,14 @@ fn whole_log(world: &StreetWorld) -> Result<()> {
         .drive_log
         .frames
         .iter()
-        .flat_map(|f| [&f.image, &f.instance_mask, &f.sky_mask])
+        .flat_map(|f| {
+            [
+                &f.image,
+                &f.instance_mask,
+                &f.sky_mask,
+                &f.free_instance_mask,
+            ]
+        })
         .chain(log.drive_log.sweeps.iter().map(|s| &s.points))
         .flatten()
         .map(|blob| blob.size_bytes)

@@ -91,10 +91,14 @@ pub async fn upload_log(
 }
 
 fn blob_sizes(log: &v1::DriveLog) -> std::collections::BTreeMap<String, u64> {
-    let frames = log
-        .frames
-        .iter()
-        .flat_map(|f| [&f.image, &f.instance_mask, &f.sky_mask]);
+    let frames = log.frames.iter().flat_map(|f| {
+        [
+            &f.image,
+            &f.instance_mask,
+            &f.sky_mask,
+            &f.free_instance_mask,
+        ]
+    });
     let maps = log.frames.iter().flat_map(|f| &f.depth_map);
     let sweeps = log.sweeps.iter().map(|s| &s.points);
     let points = log.sfm_points.iter();

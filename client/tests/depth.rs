@@ -63,7 +63,14 @@ fn decomposed(log: ReadLog) -> BackgroundSet {
     let blobs = MemoryBlobs(log.blobs);
     let accepted = validate(&drive_log, &blobs).expect("blobs are in memory");
     accepted.expect("the log is valid");
-    let set = background_set(&drive_log, &blobs, 4, u32::MAX, |_, _| true);
+    let set = background_set(
+        &drive_log,
+        &blobs,
+        &LogLabels::default(),
+        4,
+        u32::MAX,
+        |_, _| true,
+    );
     set.expect("frames load").expect("nothing stops it")
 }
 

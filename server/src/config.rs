@@ -8,6 +8,7 @@ use backlot_engine::backend::DeviceChoice;
 use serde::Deserialize;
 
 use crate::error::{ErrorKind, Kinded};
+use crate::ingest::MaskMatching;
 
 /// Free space under which uploads are refused: an asset being published still fits.
 const LOW_WATER_BYTES: u64 = 64 << 20;
@@ -25,7 +26,7 @@ const GPU_MEMORY_BYTES: u64 = 4 << 30;
 const MAX_THREADS: usize = 1024;
 
 /// The checked configuration of a server.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Config {
     pub data_dir: PathBuf,
     /// Port 0 takes a free port.
@@ -38,6 +39,8 @@ pub struct Config {
     pub device: DeviceChoice,
     /// Assets beyond this are dropped from a GPU, those longest unused first.
     pub gpu_memory_bytes: u64,
+    /// When an instance mask that is not tied to a track is taken for a track's.
+    pub mask_matching: MaskMatching,
     pub drain_grace: Duration,
     /// Uploads are refused while less than this is free on the data directory's file system.
     pub low_water_bytes: u64,
@@ -55,6 +58,7 @@ impl Config {
             threads: 0,
             device: DeviceChoice::default(),
             gpu_memory_bytes: GPU_MEMORY_BYTES,
+            mask_matching: MaskMatching::default(),
             drain_grace: DRAIN_GRACE,
             low_water_bytes: LOW_WATER_BYTES,
             ballast_bytes: BALLAST_BYTES,
@@ -72,6 +76,8 @@ pub struct RawConfig {
     pub threads: Option<usize>,
     pub device: Option<String>,
     pub gpu_memory_mib: Option<u64>,
+    pub mask_iou: Option<f64>,
+    pub mask_follow_iou: Option<f64>,
     pub drain_grace_s: Option<u64>,
     pub low_water_mib: Option<u64>,
     pub ballast_mib: Option<u64>,
@@ -99,6 +105,8 @@ impl RawConfig {
             threads: self.threads.or(base.threads),
             device: self.device.or(base.device),
             gpu_memory_mib: self.gpu_memory_mib.or(base.gpu_memory_mib),
+            mask_iou: self.mask_iou.or(base.mask_iou),
+            mask_follow_iou: self.mask_follow_iou.or(base.mask_follow_iou),
             drain_grace_s: self.drain_grace_s.or(base.drain_grace_s),
             low_water_mib: self.low_water_mib.or(base.low_water_mib),
             ballast_mib: self.ballast_mib.or(base.ballast_mib),
@@ -122,6 +130,7 @@ impl RawConfig {
             threads: count("threads", self.threads, defaults.threads, 0)?,
             device: device(self.device)?,
             gpu_memory_bytes: mib(self.gpu_memory_mib, defaults.gpu_memory_bytes),
+            mask_matching: mask_matching(self.mask_iou, self.mask_follow_iou)?,
             drain_grace: self
                 .drain_grace_s
                 .map_or(defaults.drain_grace, Duration::from_secs),
@@ -130,6 +139,27 @@ impl RawConfig {
             ..defaults
         })
     }
+}
+
+fn mask_matching(iou: Option<f64>, follow_iou: Option<f64>) -> Result<MaskMatching, Error> {
+    let defaults = MaskMatching::default();
+    Ok(MaskMatching {
+        least_iou: overlap("mask_iou", iou, defaults.least_iou)?,
+        least_follow_iou: overlap("mask_follow_iou", follow_iou, defaults.least_follow_iou)?,
+        ..defaults
+    })
+}
+
+/// An intersection over union that can be demanded. Below 0.05 anything would do.
+fn overlap(key: &'static str, value: Option<f64>, default: f64) -> Result<f64, Error> {
+    let value = value.unwrap_or(default);
+    if (0.05..=1.0).contains(&value) {
+        return Ok(value);
+    }
+    Err(Error::Value {
+        key,
+        why: format!("{value} is not between 0.05 and 1"),
+    })
 }
 
 fn device(written: Option<String>) -> Result<DeviceChoice, Error> {
@@ -214,6 +244,10 @@ mod tests {
         assert!(check("data_dir = \"d\"\nlisten = \"[::]:1\"\nworkers = 0").contains("workers"));
         let device = "data_dir = \"d\"\nlisten = \"[::]:1\"\ndevice = \"cuda\"";
         assert!(check(device).contains("device: \"cuda\""));
+        for value in ["0", "1.5", "nan"] {
+            let text = format!("data_dir = \"d\"\nlisten = \"[::]:1\"\nmask_iou = {value}");
+            assert!(check(&text).contains("mask_iou"), "{value}");
+        }
         assert!(toml::from_str::<RawConfig>("worker = 1").is_err());
     }
 }

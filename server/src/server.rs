@@ -71,7 +71,8 @@ pub struct Server;
 impl Server {
     /// Opens the data directory, recovers what a crash left, and serves. Returns once calls are answered.
     pub async fn start(config: Config) -> Result<RunningServer, Error> {
-        Self::start_with(config, Arc::new(jobs::execute::run)).await
+        let execute = jobs::execute::executor(config.mask_matching);
+        Self::start_with(config, execute).await
     }
 
     /// As `start`, with the work that is done for a job.

@@ -6,6 +6,8 @@ mod main_path;
 
 mod jobs;
 
+mod mask_matching;
+
 mod bad_input;
 
 mod data_dir;

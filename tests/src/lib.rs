@@ -6,6 +6,8 @@ pub mod server;
 
 pub mod logs;
 
+pub mod damaged_masks;
+
 pub mod state;
 
 pub use programs::{Finished, backlot, backlotd};

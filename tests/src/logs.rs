@@ -31,6 +31,14 @@ pub fn small(seed: u64) -> ReadLog {
     record(seed, (320, 192), 20, 24.0)
 }
 
+/// A street full of cars that hide each other, recorded without noise.
+///
+/// # Panics
+/// As [`tiny`].
+pub fn crowded(seed: u64) -> ReadLog {
+    record(seed, (400, 240), 30, 30.0)
+}
+
 fn record(seed: u64, (width, height): (u32, u32), frames: u32, travel_m: f64) -> ReadLog {
     let lidar = LidarConfig {
         beams: 24,

@@ -17,7 +17,7 @@ use backlot_engine::train::{
 };
 use backlot_engine::{Asset, Field};
 use backlot_server::api::convert_drive_log::drive_log_from_wire;
-use backlot_server::ingest::background_set;
+use backlot_server::ingest::{LogLabels, background_set};
 use clap::{Parser, ValueEnum};
 
 use clock::{Clock, Source};
@@ -141,7 +141,8 @@ fn street(arguments: &Arguments) -> Result<BackgroundInput> {
     };
     let blobs = blobs::MemoryBlobs(log.blobs);
     let every = arguments.hold_out_every;
-    let set = background_set(&drive_log, &blobs, every, u32::MAX, |_, _| true)?;
+    let labels = LogLabels::default();
+    let set = background_set(&drive_log, &blobs, &labels, every, u32::MAX, |_, _| true)?;
     Ok(set.expect("nothing stops it").input)
 }
 

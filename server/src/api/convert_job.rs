@@ -17,8 +17,10 @@ pub(crate) fn spec_from_wire(request: &v1::CreateJobRequest) -> Result<JobSpec, 
         kind: match v1::JobKind::try_from(request.kind) {
             Ok(v1::JobKind::Background) => JobKind::Background,
             Ok(v1::JobKind::Objects) => JobKind::Objects,
+            Ok(v1::JobKind::Decompose) => JobKind::Decompose,
             Ok(v1::JobKind::Unspecified) | Err(_) => {
-                return Err(invalid_field("kind", "is neither BACKGROUND nor OBJECTS"));
+                let why = "is none of BACKGROUND, OBJECTS and DECOMPOSE";
+                return Err(invalid_field("kind", why));
             }
         },
         drive_log: request
@@ -47,6 +49,7 @@ pub(crate) fn job_to_wire(job: &Job, report: JobReport) -> v1::Job {
     let kind = match job.spec.kind {
         JobKind::Background => v1::JobKind::Background,
         JobKind::Objects => v1::JobKind::Objects,
+        JobKind::Decompose => v1::JobKind::Decompose,
     };
     let budget = match job.spec.budget {
         Budget::Quick => v1::Budget::Quick,
@@ -80,6 +83,7 @@ pub(crate) fn job_to_wire(job: &Job, report: JobReport) -> v1::Job {
         warnings: report.warnings,
         tracks: report.tracks.into_iter().map(track_to_wire).collect(),
         hold_out_every: job.spec.hold_out_every,
+        free_masks: report.free_masks.into_iter().collect(),
         create_time: Some(timestamp(job.created_at)),
         start_time: job.started_at.map(timestamp),
         end_time: job.ended_at.map(timestamp),

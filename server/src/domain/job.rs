@@ -33,6 +33,8 @@ pub enum JobKind {
     Background,
     /// Every usable object of a drive log.
     Objects,
+    /// Segmentation and decomposition alone, kept for later jobs.
+    Decompose,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -95,6 +97,9 @@ pub struct TrackDecision {
 pub struct JobReport {
     pub warnings: Vec<String>,
     pub tracks: Vec<TrackDecision>,
+    /// What became of masks that were not tied to a track: count per outcome.
+    #[serde(default)]
+    pub free_masks: BTreeMap<String, u32>,
 }
 
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]

@@ -6,10 +6,11 @@ use backlot_engine::scene::{RecordedCamera, RecordedFrame, RecordedTrack, Record
 use backlot_engine::train::BackgroundInput;
 use backlot_engine::view::{DepthReturn, DepthSource, PixelLabel, Split, TrainView};
 
-use super::background_labels::{background_labels, moving_tracks};
+use super::background_labels::moving_tracks;
 use super::content::LogBlobs;
 use super::frame::{FrameError, FrameLoader, LoadedFrame};
 use super::held_out::split_frames;
+use super::log_labels::LogLabels;
 use super::projected::ProjectedReturn;
 use super::raster::{area_average, merge_area};
 use crate::domain::drive_log::DriveLog;
@@ -37,6 +38,7 @@ pub struct BackgroundSet {
 pub fn background_set<B: LogBlobs>(
     log: &DriveLog,
     blobs: &B,
+    labels: &LogLabels,
     hold_out_every: usize,
     longer_side_px: u32,
     mut progress: impl FnMut(usize, usize) -> bool,
@@ -44,7 +46,7 @@ pub fn background_set<B: LogBlobs>(
     let moving = moving_tracks(log);
     let order = time_order(log);
     let splits = splits(log, &order, hold_out_every);
-    let mut loader = FrameLoader::new(log, blobs);
+    let mut loader = FrameLoader::new(log, blobs, labels.masks());
     let mut input = BackgroundInput {
         ego_path: order
             .iter()
@@ -60,7 +62,7 @@ pub fn background_set<B: LogBlobs>(
         }
         let Some(split) = splits[index] else { continue };
         let loaded = loader.load(index)?;
-        let labels = background_labels(log, &moving, &loaded);
+        let labels = labels.background(log, blobs, &moving, &loaded)?;
         let depths = static_depths(&loaded, &moving, &labels);
         if split == Split::Train {
             add_seeds(log, &depths.seeds, &mut seeds, &mut input.lidar_points);
@@ -136,6 +138,13 @@ pub(crate) fn time_order(log: &DriveLog) -> Vec<usize> {
     let mut order: Vec<usize> = (0..log.frames.len()).collect();
     order.sort_by_key(|&i| (log.frames[i].timestamp_ns, &log.frames[i].camera_id));
     order
+}
+
+/// Whether each frame of the log is in the background's training set; a standing camera's frames are thinned.
+pub(super) fn background_frames(log: &DriveLog) -> Vec<bool> {
+    // Which frames are held out of training does not change which there are.
+    let splits = splits(log, &time_order(log), 0);
+    splits.iter().map(Option::is_some).collect()
 }
 
 fn splits(log: &DriveLog, order: &[usize], every: usize) -> Vec<Option<Split>> {

@@ -4,6 +4,7 @@ use bytes::Bytes;
 use rayon::prelude::*;
 
 use super::Violations;
+use super::free_masks::{MAX_FREE_INSTANCES, instances};
 use super::image::{
     ImageError, decode_depth_map, decode_instance_mask, decode_rgb, decode_sky_mask,
 };
@@ -175,6 +176,10 @@ fn check_frame<B: LogBlobs>(
         })?;
         report("instance_mask", of_mask);
     }
+    if let Some(mask) = &frame.free_instance_mask {
+        let of_mask = problem_of(mask, blobs, |b| free_mask_problem(b, size))?;
+        report("free_instance_mask", of_mask);
+    }
     if let Some(mask) = &frame.sky_mask {
         let of_mask = problem_of(mask, blobs, |b| problem("mask", decode_sky_mask(b, size)))?;
         report("sky_mask", of_mask);
@@ -226,6 +231,18 @@ fn depth_map_problem(bytes: &[u8], size: (u32, u32)) -> Option<String> {
             Some("depth map has no known pixel: leave it out".to_owned())
         }
         Ok(_) => None,
+    }
+}
+
+fn free_mask_problem(bytes: &[u8], size: (u32, u32)) -> Option<String> {
+    match decode_instance_mask(bytes, size) {
+        Err(error) => Some(format!("mask {error}")),
+        Ok(mask) => {
+            let count = instances(&mask).len();
+            (count > MAX_FREE_INSTANCES).then(|| {
+                format!("mask has {count} instances, at most {MAX_FREE_INSTANCES} are accepted")
+            })
+        }
     }
 }
 

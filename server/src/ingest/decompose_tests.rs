@@ -11,10 +11,14 @@ use backlot_engine::view::{PixelLabel, Split, TrainView};
 use bytes::Bytes;
 use glam::{DQuat, DVec2, DVec3};
 
+use super::decomposition::{Decomposition, ObjectPixels, encode_labels};
 use super::hull::{cuboid_hull, raster};
 use super::movers::camera_from_cuboid;
 use super::object_plan::Rejection;
-use super::{LogBlobs, background_set, object_set, plan_objects, recording};
+use super::{
+    LogBlobs, LogLabels, LogMasks, MaskMatching, MatchedMasks, StoredLabels, Subject,
+    background_set, decompose, match_masks, object_set, plan_objects, recording,
+};
 use crate::domain::blob::{BlobRef, Digest};
 use crate::domain::drive_log::{
     CameraFrame, DriveLog, LidarSweep, LogCamera, MANIFEST_VERSION, Occlusion, PointFormat,
@@ -132,6 +136,7 @@ fn frame(log: &DriveLog, i: usize, with_masks: bool, blobs: &mut Blobs) -> Camer
         instance_mask: None,
         sky_mask: None,
         depth_map: None,
+        free_instance_mask: None,
     };
     let camera = &log.cameras[0].camera;
     let mut rgb = RgbImage::from_pixel(camera.width, camera.height, ::image::Rgb([80; 3]));
@@ -205,7 +210,7 @@ fn label_at(log: &DriveLog, view: &TrainView, world_m: DVec3) -> PixelLabel {
 fn backgrounds_lose_movers_with_their_shadows_and_keep_parked_cars() {
     for with_masks in [true, false] {
         let (log, blobs) = street(with_masks);
-        let set = background_set(&log, &blobs, 8, 800, |_, _| true);
+        let set = background_set(&log, &blobs, &LogLabels::default(), 8, 800, |_, _| true);
         let input = set.unwrap().unwrap().input;
         assert_eq!(input.views.len(), FRAMES);
         let held: Vec<u32> = input
@@ -239,7 +244,7 @@ fn backgrounds_lose_movers_with_their_shadows_and_keep_parked_cars() {
 #[test]
 fn depth_is_metric_and_nothing_hidden_is_kept() {
     let (log, blobs) = street(true);
-    let set = background_set(&log, &blobs, 8, 800, |_, _| true);
+    let set = background_set(&log, &blobs, &LogLabels::default(), 8, 800, |_, _| true);
     for view in &set.unwrap().unwrap().input.views {
         assert!(view.depth.len() > 500);
         let mut on_scene = 0;
@@ -278,7 +283,7 @@ fn object_views_are_crops_in_the_cuboids_frame() {
         for track in [PARKED, DRIVING] {
             let plans = plan_objects(&log);
             let plan = plans.iter().find(|p| p.track == track).unwrap();
-            let set = object_set(&log, &blobs, plan, 8, |_, _| true);
+            let set = object_set(&log, &blobs, &LogLabels::default(), plan, 8, |_, _| true);
             let input = set.unwrap().unwrap().input;
             assert!(input.symmetric && !input.lidar_points.is_empty());
             // Every return lies on the rear face, whether the car moved or not.
@@ -316,7 +321,7 @@ fn a_nearer_instance_is_unknown_and_a_farther_one_is_background() {
     let plans = plan_objects(&log);
     let views = |track: usize| {
         let plan = plans.iter().find(|p| p.track == track).unwrap();
-        let set = object_set(&log, &blobs, plan, 8, |_, _| true).unwrap();
+        let set = object_set(&log, &blobs, &LogLabels::default(), plan, 8, |_, _| true).unwrap();
         set.unwrap().input.views
     };
     let mut farther = 0;
@@ -341,13 +346,155 @@ fn a_nearer_instance_is_unknown_and_a_farther_one_is_background() {
 fn stopping_and_the_recording() {
     let (log, blobs) = street(true);
     assert!(
-        background_set(&log, &blobs, 8, 800, |done, _| done < 3)
-            .unwrap()
-            .is_none()
+        background_set(&log, &blobs, &LogLabels::default(), 8, 800, |done, _| done
+            < 3)
+        .unwrap()
+        .is_none()
     );
     let recording = recording(&log);
     recording.validate().unwrap();
     assert_eq!(recording.frames.len(), FRAMES);
     let moving: Vec<bool> = recording.tracks.iter().map(|t| t.moving).collect();
     assert_eq!(moving, [false, true, false]);
+}
+
+/// Replaces the masks of a street by ones that name no track: values that change from frame to frame.
+fn untie(log: &mut DriveLog, blobs: &mut Blobs) {
+    for (i, frame) in log.frames.iter_mut().enumerate() {
+        let tied = blobs.0[&frame.instance_mask.take().unwrap().digest].clone();
+        let tied = ::image::load_from_memory(&tied).unwrap().into_luma16();
+        let free = ImageBuffer::from_fn(tied.width(), tied.height(), |x, y| {
+            let value = tied.get_pixel(x, y).0[0];
+            let other = 7_000 + 100 * i as u16 + (value * 37) % 11;
+            Luma([if value == 0 { 0 } else { other }])
+        });
+        frame.free_instance_mask = Some(blobs.add_png(free));
+    }
+}
+
+fn matched(log: &DriveLog, blobs: &Blobs) -> MatchedMasks {
+    let matching = MaskMatching::default();
+    let masks = match_masks(log, &LogMasks(blobs), &matching, |_, _| true);
+    masks.unwrap().unwrap()
+}
+
+#[test]
+fn matched_masks_label_like_masks_that_name_their_tracks() {
+    let (log, blobs) = street(true);
+    let (mut free_log, mut free_blobs) = street(true);
+    untie(&mut free_log, &mut free_blobs);
+    let labels = LogLabels::Made(matched(&free_log, &free_blobs));
+    let plans = plan_objects(&log);
+    for track in [PARKED, DRIVING] {
+        let plan = plans.iter().find(|p| p.track == track).unwrap();
+        let tied = object_set(&log, &blobs, &LogLabels::default(), plan, 8, |_, _| true);
+        let free = object_set(&free_log, &free_blobs, &labels, plan, 8, |_, _| true);
+        let (tied, free) = (tied.unwrap().unwrap(), free.unwrap().unwrap());
+        assert_eq!(free.usable_frames, tied.usable_frames);
+        for (free, tied) in free.input.views.iter().zip(&tied.input.views) {
+            assert_eq!(labels_on(free, track), labels_on(tied, track));
+        }
+    }
+    // Masks that were never matched are no one's.
+    let unmatched = LogLabels::default();
+    let plan = plans.iter().find(|p| p.track == PARKED).unwrap();
+    let none = object_set(&free_log, &free_blobs, &unmatched, plan, 8, |_, _| true);
+    assert_eq!(none.unwrap().unwrap().usable_frames, 0);
+}
+
+/// A decomposition of the street with its label images among the blobs.
+fn decomposed(log: &DriveLog, blobs: &mut Blobs) -> Decomposition {
+    let masks = matched(log, blobs);
+    let subject = Subject {
+        log,
+        masks: &masks,
+        plans: &plan_objects(log),
+        inputs: Digest::of(b"inputs"),
+    };
+    let mut written = Vec::new();
+    let write = |content: &[u8]| {
+        written.push(content.to_vec());
+        Ok(BlobRef::of(content))
+    };
+    let made = decompose(&subject, blobs, write, |_, _| true).unwrap();
+    written.into_iter().for_each(|content| {
+        blobs.add(content);
+    });
+    made.unwrap()
+}
+
+fn same_views(a: &[TrainView], b: &[TrainView]) -> bool {
+    let same = |(a, b): (&TrainView, &TrainView)| {
+        a.frame_index == b.frame_index
+            && a.labels == b.labels
+            && a.rgb == b.rgb
+            && a.depth == b.depth
+            && a.split == b.split
+    };
+    a.len() == b.len() && a.iter().zip(b).all(same)
+}
+
+#[test]
+fn a_stored_decomposition_gives_the_same_training_sets() {
+    for (with_masks, free) in [(true, false), (false, false), (true, true)] {
+        let (mut log, mut blobs) = street(with_masks);
+        if free {
+            untie(&mut log, &mut blobs);
+        }
+        let made = LogLabels::Made(matched(&log, &blobs));
+        let decomposition = decomposed(&log, &mut blobs);
+        let stored = LogLabels::Stored(StoredLabels::new(&decomposition));
+        let background = |labels: &LogLabels, blobs: &Blobs| {
+            let set = background_set(&log, blobs, labels, 8, 800, |_, _| true);
+            set.unwrap().unwrap().input
+        };
+        let (first, second) = (background(&made, &blobs), background(&stored, &blobs));
+        assert!(same_views(&first.views, &second.views));
+        assert_eq!(first.lidar_points, second.lidar_points);
+        for plan in plan_objects(&log) {
+            let set = |labels: &LogLabels| {
+                let set = object_set(&log, &blobs, labels, &plan, 8, |_, _| true);
+                set.unwrap().unwrap()
+            };
+            let (first, second) = (set(&made), set(&stored));
+            assert_eq!(first.rejected, second.rejected);
+            assert!(same_views(&first.input.views, &second.input.views));
+            assert_eq!(first.input.lidar_points, second.input.lidar_points);
+        }
+        // Another label image makes another training set.
+        let mut broken = decomposition.clone();
+        let other = encode_labels(&[PixelLabel::Unknown; 320 * 160], (320, 160));
+        broken.background[5].labels = blobs.add(other);
+        let broken = LogLabels::Stored(StoredLabels::new(&broken));
+        assert!(!same_views(
+            &first.views,
+            &background(&broken, &blobs).views
+        ));
+    }
+}
+
+#[test]
+fn a_decomposition_without_a_frame_or_an_image_is_an_error_that_names_it() {
+    let (log, mut blobs) = street(true);
+    let whole = decomposed(&log, &mut blobs);
+    let fails = |decomposition: &Decomposition, blobs: &Blobs| {
+        let labels = LogLabels::Stored(StoredLabels::new(decomposition));
+        let set = background_set(&log, blobs, &labels, 8, 800, |_, _| true);
+        set.err().map(|error| error.to_string())
+    };
+    assert_eq!(fails(&whole, &blobs), None);
+    let mut lacking = whole.clone();
+    lacking.background.remove(3);
+    let error = fails(&lacking, &blobs).expect("frame 3 is missing");
+    assert!(error.contains("frame 3"), "{error}");
+    let mut other = whole.clone();
+    other.background[3].labels = log.frames[3].image;
+    let error = fails(&other, &blobs).expect("a photograph is no label image");
+    assert!(error.contains("frame 3: label image"), "{error}");
+    let kept = |frames: &[super::decomposition::ObjectFrame]| {
+        let is_kept =
+            |f: &&super::decomposition::ObjectFrame| matches!(f.found, ObjectPixels::Kept { .. });
+        frames.iter().filter(is_kept).count()
+    };
+    assert!(whole.objects.iter().any(|track| kept(&track.frames) >= 8));
 }

@@ -1,15 +1,21 @@
 //! One frame of a log, decoded: image, masks, and the LiDAR returns and other depths that fall into it.
 
+use std::collections::BTreeMap;
+
 use backlot_engine::camera::{Camera, Rigid};
 
 use super::content::LogBlobs;
 use super::depth_map::map_returns;
+use super::free_masks::{LogMasks, MaskSource};
 use super::image::{
     ImageError, decode_depth_map, decode_instance_mask, decode_rgb, decode_sky_mask,
 };
 use super::lidar::{WorldReturn, nearest_sweeps, place_sweep};
+use super::matched_masks::MatchedMasks;
+use super::object_plan::Rejection;
 use super::projected::{ProjectedReturn, project_returns};
 use super::sfm::SfmCloud;
+use crate::domain::blob::BlobRef;
 use crate::domain::drive_log::{CameraFrame, DriveLog};
 use crate::error::ErrorKind;
 
@@ -59,6 +65,8 @@ pub(crate) struct LoadedFrame {
     pub rgb: Vec<u8>,
     /// As `CameraFrame::instance_mask`.
     pub instance: Option<Vec<u16>>,
+    /// Tracks without a mask of their own where masks had to be matched, and why.
+    pub unmasked: BTreeMap<usize, Rejection>,
     /// 255 = sky.
     pub sky: Option<Vec<u8>>,
     /// LiDAR returns, then samples of the depth map, then points of structure from motion.
@@ -70,16 +78,20 @@ pub(crate) struct LoadedFrame {
 pub(crate) struct FrameLoader<'a, B> {
     log: &'a DriveLog,
     blobs: &'a B,
+    /// `None` if instance and sky masks are not wanted.
+    masks: Option<&'a MatchedMasks>,
     sweeps: Vec<(usize, Vec<WorldReturn>)>,
     /// Read once.
     sfm: Option<SfmCloud>,
 }
 
 impl<'a, B: LogBlobs> FrameLoader<'a, B> {
-    pub(crate) fn new(log: &'a DriveLog, blobs: &'a B) -> Self {
+    /// Without `masks` frames are loaded without instance and sky masks: their labels are known.
+    pub(crate) fn new(log: &'a DriveLog, blobs: &'a B, masks: Option<&'a MatchedMasks>) -> Self {
         Self {
             log,
             blobs,
+            masks,
             sweeps: Vec::new(),
             sfm: None,
         }
@@ -103,16 +115,16 @@ impl<'a, B: LogBlobs> FrameLoader<'a, B> {
             .world_from_camera(frame)
             .ok_or_else(|| manifest("outside the ego trajectory"))?;
         let size = (camera.width, camera.height);
-        let rgb = self.image(frame, "image", &frame.image, |b| decode_rgb(b, size))?;
-        let instance = match &frame.instance_mask {
-            Some(blob) => Some(self.image(frame, "instance mask", blob, |b| {
-                decode_instance_mask(b, size)
-            })?),
-            None => None,
-        };
-        let sky = match &frame.sky_mask {
-            Some(blob) => Some(self.image(frame, "sky mask", blob, |b| decode_sky_mask(b, size))?),
-            None => None,
+        let rgb = read_image(self.blobs, frame, "image", &frame.image, |b| {
+            decode_rgb(b, size)
+        })?;
+        let (instance, unmasked, sky) = match self.masks {
+            Some(masks) => (
+                self.instance(index, &camera, masks)?,
+                masks.unmasked(index).clone(),
+                self.sky(frame, size)?,
+            ),
+            None => Default::default(),
         };
         let placed = self.place_sweeps(frame)?;
         let mut returns = project_returns(
@@ -133,25 +145,38 @@ impl<'a, B: LogBlobs> FrameLoader<'a, B> {
             world_from_camera,
             rgb,
             instance,
+            unmasked,
             sky,
             returns,
         })
     }
 
-    fn image<T>(
+    fn instance(
+        &self,
+        index: usize,
+        camera: &Camera,
+        masks: &MatchedMasks,
+    ) -> Result<Option<Vec<u16>>, FrameError<B::Error>> {
+        let frame = &self.log.frames[index];
+        let Some(blob) = &frame.instance_mask else {
+            let free = LogMasks(self.blobs).free_masks(frame, camera)?;
+            return Ok(free.map(|free| masks.tie(index, free)));
+        };
+        let size = (camera.width, camera.height);
+        let decode = |bytes: &[u8]| decode_instance_mask(bytes, size);
+        read_image(self.blobs, frame, "instance mask", blob, decode).map(Some)
+    }
+
+    fn sky(
         &self,
         frame: &CameraFrame,
-        what: &'static str,
-        blob: &crate::domain::blob::BlobRef,
-        decode: impl FnOnce(&[u8]) -> Result<T, ImageError>,
-    ) -> Result<T, FrameError<B::Error>> {
-        let bytes = self.blobs.read(blob).map_err(FrameError::Blob)?;
-        decode(&bytes).map_err(|source| FrameError::Content {
-            camera_id: frame.camera_id.clone(),
-            frame_index: frame.frame_index,
-            what,
-            source,
-        })
+        size: (u32, u32),
+    ) -> Result<Option<Vec<u8>>, FrameError<B::Error>> {
+        let Some(blob) = &frame.sky_mask else {
+            return Ok(None);
+        };
+        let decode = |bytes: &[u8]| decode_sky_mask(bytes, size);
+        read_image(self.blobs, frame, "sky mask", blob, decode).map(Some)
     }
 
     fn map_returns(
@@ -164,9 +189,8 @@ impl<'a, B: LogBlobs> FrameLoader<'a, B> {
             return Ok(Vec::new());
         };
         let size = (camera.width, camera.height);
-        let units = self.image(frame, "depth map", &map.image, |b| {
-            decode_depth_map(b, size)
-        })?;
+        let decode = |bytes: &[u8]| decode_depth_map(bytes, size);
+        let units = read_image(self.blobs, frame, "depth map", &map.image, decode)?;
         let at_ns = frame.timestamp_ns;
         let placed = map_returns(self.log, at_ns, map, &units, camera, world_from_camera);
         Ok(placed)
@@ -199,4 +223,21 @@ impl<'a, B: LogBlobs> FrameLoader<'a, B> {
         }
         Ok(self.sweeps.iter().flat_map(|(_, r)| r).copied().collect())
     }
+}
+
+/// Reads and decodes an image or a mask of a frame; `what` names it in errors.
+pub(super) fn read_image<B: LogBlobs, T>(
+    blobs: &B,
+    frame: &CameraFrame,
+    what: &'static str,
+    blob: &BlobRef,
+    decode: impl FnOnce(&[u8]) -> Result<T, ImageError>,
+) -> Result<T, FrameError<B::Error>> {
+    let bytes = blobs.read(blob).map_err(FrameError::Blob)?;
+    decode(&bytes).map_err(|source| FrameError::Content {
+        camera_id: frame.camera_id.clone(),
+        frame_index: frame.frame_index,
+        what,
+        source,
+    })
 }

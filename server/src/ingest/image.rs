@@ -23,6 +23,8 @@ pub enum ImageError {
         found: ColorType,
         expected: &'static str,
     },
+    #[error("has the value {value}, which is no label")]
+    Label { value: u8 },
     #[error("is {}x{}, differs from the camera's {}x{}", found.0, found.1, expected.0, expected.1)]
     Size {
         found: (u32, u32),

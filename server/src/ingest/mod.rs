@@ -8,6 +8,8 @@ mod movers;
 mod points;
 mod raster;
 
+mod free_masks;
+
 mod content;
 mod validate;
 #[cfg(test)]
@@ -23,6 +25,11 @@ mod frame;
 mod held_out;
 mod sky;
 
+mod mask_consistency;
+mod mask_match;
+mod mask_overlap;
+mod matched_masks;
+
 mod background;
 mod background_labels;
 
@@ -30,15 +37,27 @@ mod object;
 mod object_labels;
 mod object_plan;
 
+mod decompose;
+mod decomposition;
+mod log_labels;
+
 #[cfg(test)]
 mod decompose_tests;
 
 pub(crate) use background::recording;
 pub use background::{BackgroundSet, background_set};
 pub use content::LogBlobs;
+pub(crate) use decompose::{Subject, decompose};
+pub(crate) use decomposition::{
+    DECOMPOSITION_VERSION, Decomposition, DecompositionInputs, LabelledTrack, ObjectPixels,
+};
 pub use frame::FrameError;
+pub use free_masks::{LogMasks, MaskSource};
 pub use image::ImageError;
 pub(crate) use image::{decode_instance_mask, decode_rgb};
+pub use log_labels::{LogLabels, StoredLabels};
+pub use mask_match::{MaskMatching, MaskOutcome};
+pub use matched_masks::{MatchedMasks, match_masks};
 pub(crate) use object::{ObjectSet, object_set};
 pub(crate) use object_plan::{Rejections, TrackPlan, plan_objects};
 pub use validate::{Accepted, validate};

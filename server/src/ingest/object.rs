@@ -9,6 +9,7 @@ use super::content::LogBlobs;
 use super::frame::{FrameError, FrameLoader, LoadedFrame};
 use super::held_out::split_frames;
 use super::hull::raster;
+use super::log_labels::{LogLabels, ObjectLabels};
 use super::object_labels::{Crop, Subject, crop_around};
 use super::object_plan::{Outline, Rejection, Rejections, TrackPlan, outlines};
 use super::raster::{area_average, merge_area};
@@ -44,6 +45,7 @@ pub(crate) struct ObjectSet {
 pub(crate) fn object_set<B: LogBlobs>(
     log: &DriveLog,
     blobs: &B,
+    labels: &LogLabels,
     plan: &TrackPlan,
     hold_out_every: usize,
     mut progress: impl FnMut(usize, usize) -> bool,
@@ -59,16 +61,17 @@ pub(crate) fn object_set<B: LogBlobs>(
         rejected: Rejections::new(),
         object_from_camera: Vec::new(),
     };
-    let mut loader = FrameLoader::new(log, blobs);
-    let frames = thinned(&plan.frames, MOST_VIEWS);
+    let mut loader = FrameLoader::new(log, blobs, labels.masks());
+    let frames = view_frames(plan);
     let mut views = Vec::with_capacity(frames.len());
     for (done, &index) in frames.iter().enumerate() {
         if !progress(done, frames.len()) {
             return Ok(None);
         }
         let loaded = loader.load(index)?;
-        match object_view(log, plan.track, &loaded) {
-            Ok((view, mut points)) => {
+        match labels.object(log, blobs, plan.track, &loaded)? {
+            Ok((crop, labels)) => {
+                let (view, mut points) = object_view(log, plan.track, &loaded, crop, labels);
                 set.input.lidar_points.append(&mut points);
                 views.push(view);
             }
@@ -86,8 +89,10 @@ pub(crate) fn object_set<B: LogBlobs>(
     Ok(Some(set))
 }
 
-fn thinned(frames: &[usize], most: usize) -> Vec<usize> {
-    let count = frames.len().min(most);
+/// The frames of the plan that become views, thinned evenly if they are too many; indices into the log's frames.
+pub(super) fn view_frames(plan: &TrackPlan) -> Vec<usize> {
+    let frames = &plan.frames;
+    let count = frames.len().min(MOST_VIEWS);
     (0..count)
         .map(|i| frames[i * frames.len() / count])
         .collect()
@@ -105,17 +110,16 @@ fn split(views: &mut Vec<TrainView>, hold_out_every: usize) {
     });
 }
 
-/// The view and the returns on the object in its cuboid's frame.
-fn object_view(
-    log: &DriveLog,
-    track: usize,
-    loaded: &LoadedFrame,
-) -> Result<(TrainView, Vec<[f32; 3]>), Rejection> {
+/// Labels of the pixels around a track's object, or why the frame does not show it well enough.
+pub(super) fn labelled_object(log: &DriveLog, track: usize, loaded: &LoadedFrame) -> ObjectLabels {
     let seen = outlines(log, &loaded.frame, &loaded.camera);
     let outline = seen
         .iter()
         .find(|o| o.track == track)
         .ok_or(Rejection::OutsideImage)?;
+    if let Some(&reason) = loaded.unmasked.get(&track) {
+        return Err(reason);
+    }
     let size_m = log.tracks[track].size_m;
     let crop = crop_around(&loaded.camera, outline, size_m).ok_or(Rejection::OutsideImage)?;
     let subject = Subject {
@@ -141,11 +145,31 @@ fn object_view(
     if foreground.count() < LEAST_FOREGROUND_PX {
         return Err(Rejection::TooSmall);
     }
+    Ok((crop, labels))
+}
+
+/// The view of a labelled crop and the returns on the object in its cuboid's frame.
+fn object_view(
+    log: &DriveLog,
+    track: usize,
+    loaded: &LoadedFrame,
+    crop: Crop,
+    labels: Vec<PixelLabel>,
+) -> (TrainView, Vec<[f32; 3]>) {
+    let seen = outlines(log, &loaded.frame, &loaded.camera);
+    let outline = seen.iter().find(|o| o.track == track);
+    let subject = Subject {
+        loaded,
+        outline: outline.expect("a labelled object is in the image"),
+        seen: &seen,
+        size_m: log.tracks[track].size_m,
+        crop,
+    };
     let points = subject
         .own_returns()
         .map(|(_, cuboid_m)| cuboid_m.as_vec3().to_array())
         .collect();
-    Ok((cut(&subject, labels), points))
+    (cut(&subject, labels), points)
 }
 
 /// The mask names the object, and nearer instances hide little of it.

@@ -7,6 +7,7 @@
 use backlot_engine::camera::Camera;
 use backlot_engine::view::PixelLabel;
 use glam::{DVec2, DVec3};
+use serde::{Deserialize, Serialize};
 
 use super::frame::LoadedFrame;
 use super::hull::{cuboid_hull, raster};
@@ -29,8 +30,8 @@ const RETURN_X_RAD: f64 = 0.002;
 const RETURN_Y_RAD: f64 = 0.005;
 
 /// A rectangle of the image: the object and its surroundings.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Crop {
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub(crate) struct Crop {
     pub x: usize,
     pub y: usize,
     pub width: usize,
@@ -66,6 +67,7 @@ impl Subject<'_> {
         if foreground_columns >= RIM_LEAST_PX {
             rim_unknown(&mut labels, self.crop.width);
         }
+        self.unmasked_unknown(&mut labels);
         self.nearer_unknown(&mut labels);
         labels
     }
@@ -86,6 +88,20 @@ impl Subject<'_> {
             PixelLabel::Background
         } else {
             PixelLabel::Unknown
+        }
+    }
+
+    /// A nearer object whose mask was missed or refused hides what the mask calls empty.
+    fn unmasked_unknown(&self, labels: &mut [PixelLabel]) {
+        for nearer in self.seen {
+            let is_unmasked = self.loaded.unmasked.contains_key(&nearer.track);
+            if is_unmasked && nearer.distance_m < self.outline.distance_m {
+                self.visit(&nearer.hull, labels, |label| {
+                    if *label == PixelLabel::Background {
+                        *label = PixelLabel::Unknown;
+                    }
+                });
+            }
         }
     }
 
@@ -231,11 +247,23 @@ impl Subject<'_> {
     }
 
     fn fill(&self, hull: &[DVec2], labels: &mut [PixelLabel], with: PixelLabel) {
+        self.visit(hull, labels, |label| *label = with);
+    }
+
+    /// Visits the labels of the crop's pixels inside a hull of the whole image.
+    fn visit(
+        &self,
+        hull: &[DVec2],
+        labels: &mut [PixelLabel],
+        mut each: impl FnMut(&mut PixelLabel),
+    ) {
         let offset = DVec2::new(self.crop.x as f64, self.crop.y as f64);
         let moved: Vec<DVec2> = hull.iter().map(|&p| p - offset).collect();
         let size = (self.crop.width as u32, self.crop.height as u32);
         raster(&moved, size.0, size.1, |row, columns| {
-            labels[row * self.crop.width..][columns].fill(with);
+            labels[row * self.crop.width..][columns]
+                .iter_mut()
+                .for_each(&mut each);
         });
     }
 

@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use backlot_engine::camera::{Camera, NEAR_M, Rigid};
 use backlot_engine::class::ObjectClass;
 use glam::DVec2;
+use serde::{Deserialize, Serialize};
 
 use super::background::time_order;
 use super::background_labels::moving_tracks;
@@ -21,13 +22,17 @@ const MOST_COVERED: f64 = 0.2;
 const MOST_TRUNCATED: f32 = 0.05;
 
 /// Why a frame of a track is not used.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
 pub(crate) enum Rejection {
     OutsideImage,
     Truncated,
     TooSmall,
     Occluded,
     NoMask,
+    MergedMask,
+    InconsistentMask,
+    #[serde(rename = "few_lidar_returns")]
     FewReturns,
 }
 
@@ -40,6 +45,8 @@ impl Rejection {
             Self::TooSmall => "too_small",
             Self::Occluded => "occluded",
             Self::NoMask => "no_mask",
+            Self::MergedMask => "merged_mask",
+            Self::InconsistentMask => "inconsistent_mask",
             Self::FewReturns => "few_lidar_returns",
         }
     }

@@ -126,6 +126,10 @@ fn check_frames(log: &DriveLog, violations: &mut Violations) {
         if let Some(what) = uncovered(log, frame.timestamp_ns) {
             violations.push(format!("frames[{i}].timestamp_ns"), format!("{who} {what}"));
         }
+        if frame.instance_mask.is_some() && frame.free_instance_mask.is_some() {
+            let what = format!("{who} stands beside instance_mask: bring one of them");
+            violations.push(format!("frames[{i}].free_instance_mask"), what);
+        }
     }
 }
 

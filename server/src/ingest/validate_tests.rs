@@ -209,6 +209,21 @@ fn broken_images_are_named_by_camera_and_frame() {
         value.contains("mask value 2 at pixel (0, 0) names no track"),
         "{value}"
     );
+    let both = violation(|log, blobs| {
+        log.frames[1].free_instance_mask = Some(blobs.add(mask_png(9)));
+    });
+    assert!(
+        both.contains("frames[1].free_instance_mask") && both.contains("bring one"),
+        "{both}"
+    );
+    let grey = violation(|log, blobs| {
+        log.frames[1].instance_mask = None;
+        log.frames[1].free_instance_mask = Some(blobs.add(png(image::GrayImage::new(16, 12))));
+    });
+    assert!(
+        grey.contains("frame 37) mask is L8, not 16-bit grey"),
+        "{grey}"
+    );
     let unknown = {
         let mut blobs = Blobs::default();
         let mut log = log(&mut blobs);

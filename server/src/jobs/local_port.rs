@@ -1,6 +1,7 @@
 //! The worker port for workers in the server's own process.
 
 use std::collections::BTreeSet;
+use std::fmt::Display;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -8,12 +9,14 @@ use bytes::Bytes;
 
 use super::error::{Error, Result};
 use super::queue::Queue;
-use super::worker_port::{Completion, Directive, Lease, LeasedJob, PortError, WorkerPort};
+use super::worker_port::{
+    Completion, Directive, KnownDecomposition, Lease, LeasedJob, PortError, WorkerPort,
+};
 use crate::domain::asset::Asset;
 use crate::domain::blob::{BlobRef, Digest};
 use crate::domain::job::{Event, Failure, Job, JobReport, JobState, LEASE, Progress, Rejected};
 use crate::error::{ErrorKind, Kinded};
-use crate::store::{self, BlobStore, Txn};
+use crate::store::{self, BlobStore, DecompositionRecord, Txn};
 
 /// Progress between two commits is shown to watchers only: a crash loses at most this much of the progress bar.
 const COMMIT_EVERY: Duration = Duration::from_secs(5);
@@ -96,17 +99,37 @@ impl LocalPort {
             .map(|content| Asset::publish(content, &log, &lease.job, now))
             .collect();
         self.check_publishable(&assets)?;
+        if let Some(made) = &completion.decomposition {
+            self.check_written(&made.manifest, &"the decomposition")?;
+        }
         let event = Event::Completed {
             epoch: lease.epoch,
             assets: assets.iter().map(|asset| asset.id.clone()).collect(),
             report: self.write_report(&completion.report)?,
         };
+        let decomposition = completion.decomposition.map(|made| DecompositionRecord {
+            inputs: made.inputs,
+            drive_log: log,
+            manifest: made.manifest,
+            job: lease.job.clone(),
+            created_at: now,
+        });
         self.queue.apply_with(&lease.job, event, |_| {
-            assets
+            let txn = assets
                 .iter()
-                .try_fold(Txn::new(), |txn, asset| txn.create(asset))
+                .try_fold(Txn::new(), |txn, asset| txn.create(asset))?;
+            self.keep(txn, decomposition.as_ref())
         })?;
         Ok(())
+    }
+
+    /// Adds a decomposition, or replaces one of the same inputs that could not be read.
+    fn keep(&self, txn: Txn, made: Option<&DecompositionRecord>) -> store::Result<Txn> {
+        let Some(made) = made else { return Ok(txn) };
+        match self.queue.store().decomposition(&made.inputs)? {
+            None => txn.create(made),
+            Some(old) => txn.replace(&old, made),
+        }
     }
 
     /// Every payload is on stable storage and no two assets share a name.
@@ -118,12 +141,16 @@ impl LocalPort {
                     what: format!("{} would be published twice", asset.id),
                 });
             }
-            let payload = &asset.content.payload;
-            if self.blobs().size_bytes(&payload.digest)? != Some(payload.size_bytes) {
-                return Err(Error::Invalid {
-                    what: format!("payload {} of {} was not written", payload.digest, asset.id),
-                });
-            }
+            self.check_written(&asset.content.payload, &asset.id)?;
+        }
+        Ok(())
+    }
+
+    fn check_written(&self, blob: &BlobRef, of: &dyn Display) -> Result<()> {
+        if self.blobs().size_bytes(&blob.digest)? != Some(blob.size_bytes) {
+            return Err(Error::Invalid {
+                what: format!("blob {} of {of} was not written", blob.digest),
+            });
         }
         Ok(())
     }
@@ -157,6 +184,16 @@ impl WorkerPort for LocalPort {
 
     fn read_blob(&self, digest: &Digest) -> Result<Bytes, PortError> {
         Ok(self.blobs().read(digest).map_err(Error::from)?)
+    }
+
+    fn decomposition(&self, inputs: &Digest) -> Result<Option<KnownDecomposition>, PortError> {
+        let found = self.queue.store().decomposition(inputs);
+        Ok(found
+            .map_err(Error::from)?
+            .map(|stored| KnownDecomposition {
+                job: stored.record.job,
+                manifest: stored.record.manifest,
+            }))
     }
 
     fn write_blob(&self, content: &[u8]) -> Result<BlobRef, PortError> {

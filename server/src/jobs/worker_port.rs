@@ -39,11 +39,29 @@ pub enum Directive {
     Lost,
 }
 
+/// A decomposition that an earlier job left.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct KnownDecomposition {
+    /// The job that made it.
+    pub job: JobId,
+    pub manifest: BlobRef,
+}
+
+/// A decomposition whose blobs were written through the port.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct NewDecomposition {
+    /// Digest of all that it depends on.
+    pub inputs: Digest,
+    pub manifest: BlobRef,
+}
+
 /// The result of a job. Payload blobs were written through the port before.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Completion {
     pub assets: Vec<NewAsset>,
     pub report: JobReport,
+    /// Kept for later jobs.
+    pub decomposition: Option<NewDecomposition>,
 }
 
 /// How the work on a job ended.
@@ -68,10 +86,13 @@ pub trait WorkerPort: Send + Sync {
     /// A blob's whole content, verified against its digest.
     fn read_blob(&self, digest: &Digest) -> Result<Bytes, PortError>;
 
+    /// The decomposition of these inputs, if a job made one.
+    fn decomposition(&self, inputs: &Digest) -> Result<Option<KnownDecomposition>, PortError>;
+
     /// Puts a blob on stable storage.
     fn write_blob(&self, content: &[u8]) -> Result<BlobRef, PortError>;
 
-    /// Publishes the assets and ends the job in one transaction guarded by the epoch.
+    /// Publishes the assets and the decomposition and ends the job in one transaction guarded by the epoch.
     fn complete(&self, lease: &Lease, completion: Completion) -> Result<(), PortError>;
 
     fn fail(&self, lease: &Lease, failure: Failure) -> Result<(), PortError>;

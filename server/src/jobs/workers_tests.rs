@@ -73,12 +73,14 @@ fn one_background(_: &LeasedJob, port: &dyn WorkerPort, _: &JobControl) -> Outco
         synthetic: true,
     };
     let report = JobReport {
+        free_masks: Default::default(),
         warnings: vec!["short drive".into()],
         tracks: Vec::new(),
     };
     Ok(Completion {
         assets: vec![asset],
         report,
+        ..Completion::default()
     })
 }
 

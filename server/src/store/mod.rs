@@ -33,10 +33,13 @@ mod logs;
 
 mod jobs;
 
+mod decompositions;
+
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 pub use blobs::{Begun, BlobStore, MAX_BLOB_BYTES};
+pub use decompositions::DecompositionRecord;
 pub use error::{Error, Result};
 pub use library::Library;
 pub use logs::DriveLogRecord;

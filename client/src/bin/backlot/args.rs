@@ -64,7 +64,12 @@ pub(crate) enum LogsCommand {
     /// List the logs on the server.
     List,
     /// Show one log.
-    Show { log: String },
+    Show {
+        log: String,
+        /// Show what the newest decomposition made of each track: frames kept, frames rejected, and why.
+        #[arg(long)]
+        tracks: bool,
+    },
     /// Remove a log.
     Delete { log: String },
 }
@@ -198,7 +203,7 @@ pub(crate) enum LogFormat {
 
 #[derive(Debug, Subcommand)]
 pub(crate) enum JobsCommand {
-    /// Queue training of a log's background, or of its objects.
+    /// Queue training of a log's background or of its objects, or its decomposition alone.
     Submit(SubmitOptions),
     /// List jobs.
     List {
@@ -237,6 +242,8 @@ pub(crate) struct SubmitOptions {
 pub(crate) enum JobKind {
     Background,
     Objects,
+    /// Masks and training sets alone, kept for later jobs on the log.
+    Decompose,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]

@@ -1,5 +1,6 @@
 //! `backlot jobs`.
 
+use std::collections::BTreeMap;
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use anyhow::{Context, bail};
@@ -11,6 +12,7 @@ use serde::Serialize;
 use crate::args::{Budget, JobKind, JobsCommand, Output, SubmitOptions};
 use crate::output::{self, Row};
 use crate::progress::Progress;
+use crate::tracks;
 
 pub(crate) async fn run(
     connection: &Connection,
@@ -84,6 +86,10 @@ pub(crate) async fn follow(
     for track in job.tracks.iter().filter(|track| !track.kept) {
         eprintln!("note: {}", rejection(track));
     }
+    if !job.free_masks.is_empty() {
+        let counts = tracks::counts(&job.free_masks);
+        eprintln!("note: masks that name no track: {counts}");
+    }
     match job.state() {
         v1::JobState::Succeeded => {}
         v1::JobState::Failed => {
@@ -101,21 +107,16 @@ pub(crate) async fn follow(
 
 /// Why a track became no asset.
 fn rejection(track: &v1::TrackDecision) -> String {
-    let mut by_reason: Vec<_> = track.rejected_by_reason.iter().collect();
-    by_reason.sort();
-    let counts: Vec<String> = by_reason
-        .into_iter()
-        .map(|(reason, count)| format!("{count} {reason}"))
-        .collect();
+    let counts = tracks::counts(&track.rejected_by_reason);
     format!(
         "track {} became no object: {} ({} frames usable; {})",
         track.track_id,
         track.reason,
         track.usable_frames,
         if counts.is_empty() {
-            "none rejected".to_owned()
+            "none rejected"
         } else {
-            counts.join(", ")
+            &counts
         },
     )
 }
@@ -132,6 +133,7 @@ fn wire_kind(kind: JobKind) -> v1::JobKind {
     match kind {
         JobKind::Background => v1::JobKind::Background,
         JobKind::Objects => v1::JobKind::Objects,
+        JobKind::Decompose => v1::JobKind::Decompose,
     }
 }
 
@@ -155,6 +157,7 @@ struct JobRow {
     assets: Vec<String>,
     warnings: Vec<String>,
     tracks: Vec<TrackFields>,
+    free_masks: BTreeMap<String, u32>,
     created: Option<String>,
 }
 
@@ -184,6 +187,7 @@ impl JobRow {
             assets: job.assets.clone(),
             warnings: job.warnings.clone(),
             tracks: job.tracks.iter().map(TrackFields::new).collect(),
+            free_masks: job.free_masks.clone().into_iter().collect(),
             created: job.create_time.map(|t| t.to_string()),
         }
     }

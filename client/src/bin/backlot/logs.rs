@@ -12,7 +12,7 @@ use serde::Serialize;
 use crate::args::{LogsCommand, Output, UploadOptions};
 use crate::input::LogSource;
 use crate::output::{self, Row};
-use crate::{input, inspect, progress::Progress};
+use crate::{input, inspect, progress::Progress, tracks};
 
 pub(crate) async fn run(
     open: &impl AsyncFn() -> backlot_client::Result<Connection>,
@@ -27,7 +27,11 @@ pub(crate) async fn run(
             let rows: Vec<_> = summaries.into_iter().map(LogRow::from_summary).collect();
             output::print(output, &rows)
         }
-        LogsCommand::Show { log } => show(&open().await?, &log, output).await,
+        LogsCommand::Show { log, tracks: false } => show(&open().await?, &log, output).await,
+        LogsCommand::Show { log, tracks: true } => {
+            let name = names::drive_log(&log)?;
+            tracks::show(&open().await?, &name, output).await
+        }
         LogsCommand::Delete { log } => {
             let name = names::drive_log(&log)?;
             let connection = open().await?;
@@ -80,16 +84,20 @@ async fn upload(
     output::print(output, &[LogRow::from_log(&uploaded.drive_log)])
 }
 
-async fn show(connection: &Connection, log: &str, output: Output) -> anyhow::Result<()> {
-    let name = names::drive_log(log)?;
-    let request = v1::GetDriveLogRequest { name: name.clone() };
+/// Reads one log, `driveLogs/{id}`.
+pub(crate) async fn read(connection: &Connection, name: &str) -> anyhow::Result<v1::DriveLog> {
+    let request = v1::GetDriveLogRequest {
+        name: name.to_owned(),
+    };
     let reply = connection.drive_logs().get_drive_log(request).await;
     let reply = reply
         .map_err(|status| backlot_client::Error::from_status(&format!("reading {name}"), status))?;
-    let log = reply
-        .into_inner()
-        .drive_log
-        .context("the reply holds no log")?;
+    let log = reply.into_inner().drive_log;
+    log.context("the reply holds no log")
+}
+
+async fn show(connection: &Connection, log: &str, output: Output) -> anyhow::Result<()> {
+    let log = read(connection, &names::drive_log(log)?).await?;
     output::print(output, &[LogRow::from_log(&log)])?;
     if output == Output::Table {
         println!();

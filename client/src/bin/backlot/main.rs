@@ -18,6 +18,7 @@ mod demo;
 mod devices;
 mod jobs;
 mod logs;
+mod tracks;
 
 use std::io::IsTerminal;
 use std::process::ExitCode;

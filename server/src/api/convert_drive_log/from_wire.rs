@@ -175,6 +175,9 @@ fn frame(fields: &mut FieldReader, i: usize, frame: v1::CameraFrame) -> CameraFr
         depth_map: frame
             .depth_map
             .map(|map| depth_map(fields, &place.field("depth_map"), map)),
+        free_instance_mask: frame
+            .free_instance_mask
+            .map(|b| fields.blob_ref(&place.field("free_instance_mask"), b)),
         camera_id: frame.camera_id,
     }
 }

@@ -123,6 +123,7 @@ fn frame(frame: &CameraFrame) -> v1::CameraFrame {
         instance_mask: frame.instance_mask.as_ref().map(blob),
         sky_mask: frame.sky_mask.as_ref().map(blob),
         depth_map: frame.depth_map.as_ref().map(depth_map),
+        free_instance_mask: frame.free_instance_mask.as_ref().map(blob),
     }
 }
 

@@ -86,6 +86,10 @@ pub struct CameraFrame {
     /// Absent in manifests as [`DriveLog::sfm_points`] is.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub depth_map: Option<DepthMap>,
+    /// Instead of `instance_mask`, 16-bit grey PNG: [`MASK_NONE`], [`MASK_UNKNOWN`], or an instance of this frame alone. Left out of the
+    /// stored form where there is none, so that logs of before have the same bytes.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub free_instance_mask: Option<BlobRef>,
 }
 
 /// The side from which a rolling shutter reads out.
@@ -186,6 +190,7 @@ impl DriveLog {
                 .chain(&f.instance_mask)
                 .chain(&f.sky_mask)
                 .chain(f.depth_map.as_ref().map(|d| &d.image))
+                .chain(&f.free_instance_mask)
         });
         let of_points = self
             .sfm_points

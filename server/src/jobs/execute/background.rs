@@ -13,6 +13,7 @@ use super::PortBlobs;
 use super::budget::Plan;
 use super::control::{RunControl, report};
 use super::error::Error;
+use super::labels::JobLabels;
 use super::quality::quality_record;
 use crate::domain::asset::{NewAsset, QualityReport, Usage as RecordUsage};
 use crate::domain::drive_log::DriveLog;
@@ -27,6 +28,7 @@ const TRAINED: f64 = 0.95;
 pub(super) fn run(
     job: &LeasedJob,
     log: &DriveLog,
+    labels: &JobLabels,
     port: &dyn WorkerPort,
     control: &JobControl,
 ) -> Result<Completion, Error> {
@@ -35,7 +37,7 @@ pub(super) fn run(
         input,
         image_size,
         depth_warning,
-    } = decode(job, log, port, control, &plan)?;
+    } = decode(job, log, labels, port, control, &plan)?;
     let mut warnings: Vec<String> = depth_warning.into_iter().collect();
     let (width, height) = image_size;
     let what = format!("background of {} at {width}x{height}", log.id);
@@ -62,6 +64,8 @@ pub(super) fn run(
         image_size_px: Some(image_size),
         ..quality_record(&quality, None)
     };
+    // For the job's report alone: it says nothing of the asset's quality.
+    warnings.extend(labels.note.clone());
     let header = AssetHeader {
         kind: AssetKind::Background,
         local_from_world: log.local_from_world,
@@ -82,24 +86,29 @@ pub(super) fn run(
         report: JobReport {
             warnings,
             tracks: Vec::new(),
+            free_masks: labels.free_masks.clone(),
         },
+        decomposition: None,
     })
 }
 
 fn decode(
     job: &LeasedJob,
     log: &DriveLog,
+    labels: &JobLabels,
     port: &dyn WorkerPort,
     control: &JobControl,
     plan: &Plan,
 ) -> Result<BackgroundSet, Error> {
     let every = job.spec.hold_out_every as usize;
+    let message = labels.while_decoding("decoding frames");
     let progress = |done: usize, count: usize| {
         let fraction = DECODED * done as f64 / count.max(1) as f64;
-        report(control, fraction, "decode", done, count, "decoding frames");
+        report(control, fraction, "decode", done, count, &message);
         !control.cancelled()
     };
-    background_set(log, &PortBlobs(port), every, plan.longer_side_px, progress)?
+    let (blobs, longer_side_px) = (PortBlobs(port), plan.longer_side_px);
+    background_set(log, &blobs, &labels.labels, every, longer_side_px, progress)?
         .ok_or(Error::Cancelled)
 }
 

@@ -8,6 +8,9 @@ use crate::domain::job::Budget;
 /// Images are shrunk to this longer side: 1242 x 375 trains at 621 x 188, 640 x 384 as it is.
 const LONGER_SIDE_PX: u32 = 800;
 
+/// Usable frames that every budget needs of an object at least: tracks with fewer are not decomposed.
+pub(super) const LEAST_FRAMES: usize = 8;
+
 /// Settings of one job.
 #[derive(Clone, Debug)]
 pub(super) struct Plan {
@@ -29,8 +32,8 @@ impl Plan {
             Budget::Paper => EngineBudget::Paper,
         };
         let (longer_side_px, least_frames, most_objects) = match budget {
-            Budget::Quick => (LONGER_SIDE_PX, 8, 5),
-            Budget::Standard => (LONGER_SIDE_PX, 8, 8),
+            Budget::Quick => (LONGER_SIDE_PX, LEAST_FRAMES, 5),
+            Budget::Standard => (LONGER_SIDE_PX, LEAST_FRAMES, 8),
             // Section 4.2: 20 to 60 frames an object, at full resolution.
             Budget::Paper => (u32::MAX, 20, 64),
         };

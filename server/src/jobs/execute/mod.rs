@@ -8,26 +8,45 @@ mod error;
 mod gate;
 mod quality;
 
+mod labels;
+
 mod background;
 mod objects;
 
+mod decompose;
+
+use std::sync::Arc;
+
 use super::worker_port::{JobControl, LeasedJob, Outcome, PortError, WorkerPort};
+use super::workers::Execute;
 use crate::domain::blob::BlobRef;
 use crate::domain::drive_log::DriveLog;
 use crate::domain::job::JobKind;
-use crate::ingest::LogBlobs;
+use crate::ingest::{LogBlobs, MaskMatching};
 use bytes::Bytes;
 use error::Error;
 
+/// What workers run.
+pub fn executor(matching: MaskMatching) -> Execute {
+    Arc::new(move |job, port, control| run(job, port, control, &matching))
+}
+
 /// Runs one job to its end; blocks, and returns early once `control.cancelled()`.
-pub fn run(job: &LeasedJob, port: &dyn WorkerPort, control: &JobControl) -> Outcome {
+fn run(
+    job: &LeasedJob,
+    port: &dyn WorkerPort,
+    control: &JobControl,
+    matching: &MaskMatching,
+) -> Outcome {
     let work = || {
         control::report(control, 0.0, "decode", 0, 0, "reading the log");
         let manifest = port.read_blob(&job.manifest.digest)?;
         let log = DriveLog::from_manifest(&manifest)?;
+        let labels = || labels::labels(job, &log, port, control, matching);
         match job.spec.kind {
-            JobKind::Background => background::run(job, &log, port, control),
-            JobKind::Objects => objects::run(job, &log, port, control),
+            JobKind::Background => background::run(job, &log, &labels()?, port, control),
+            JobKind::Objects => objects::run(job, &log, &labels()?, port, control),
+            JobKind::Decompose => decompose::run(job, &log, port, control, matching),
         }
     };
     work().map_err(|error: Error| error.into_failure())

@@ -12,6 +12,7 @@ use super::budget::Plan;
 use super::control::{RunControl, report};
 use super::error::Error;
 use super::gate::replay_only_reason;
+use super::labels::JobLabels;
 use super::quality::quality_record;
 use crate::domain::asset::{NewAsset, ObjectSubject, Usage as RecordUsage};
 use crate::domain::drive_log::{DriveLog, Track};
@@ -22,6 +23,7 @@ use crate::jobs::worker_port::{Completion, JobControl, LeasedJob, WorkerPort};
 pub(super) fn run(
     job: &LeasedJob,
     log: &DriveLog,
+    labels: &JobLabels,
     port: &dyn WorkerPort,
     control: &JobControl,
 ) -> Result<Completion, Error> {
@@ -29,11 +31,16 @@ pub(super) fn run(
     let mut work = ObjectsJob {
         job,
         log,
+        labels,
         port,
         control,
         budget: &budget,
         assets: Vec::new(),
-        report: JobReport::default(),
+        report: JobReport {
+            free_masks: labels.free_masks.clone(),
+            warnings: labels.note.iter().cloned().collect(),
+            tracks: Vec::new(),
+        },
     };
     let plans = plan_objects(log);
     let promising = |p: &&TrackPlan| p.frames.len() >= budget.least_frames;
@@ -49,12 +56,14 @@ pub(super) fn run(
     Ok(Completion {
         assets: work.assets,
         report: work.report,
+        decomposition: None,
     })
 }
 
 struct ObjectsJob<'a> {
     job: &'a LeasedJob,
     log: &'a DriveLog,
+    labels: &'a JobLabels,
     port: &'a dyn WorkerPort,
     control: &'a JobControl,
     budget: &'a Plan,
@@ -75,7 +84,7 @@ impl ObjectsJob<'_> {
         count(&mut decision, &plan.rejected);
         let least = self.budget.least_frames;
         if plan.frames.len() < least {
-            decision.reason = format!("{} usable frames, {least} needed", plan.frames.len());
+            decision.reason = too_few(decision.usable_frames, least);
         } else if self.assets.len() == self.budget.most_objects {
             let most = self.budget.most_objects;
             decision.reason = format!("the budget's {most} objects were larger");
@@ -99,8 +108,8 @@ impl ObjectsJob<'_> {
         count(decision, &set.rejected);
         decision.usable_frames = set.usable_frames;
         let least = self.budget.least_frames;
-        if (set.usable_frames as usize) < least {
-            decision.reason = format!("{} usable frames, {least} needed", set.usable_frames);
+        decision.reason = too_few(set.usable_frames, least);
+        if !decision.reason.is_empty() {
             return Ok(());
         }
         let track = &self.log.tracks[plan.track];
@@ -131,12 +140,15 @@ impl ObjectsJob<'_> {
     fn decode(&self, plan: &TrackPlan, start: f64) -> Result<ObjectSet, Error> {
         let id = &self.log.tracks[plan.track].track_id;
         let message = format!("decoding frames of track {id}");
+        let message = self.labels.while_decoding(&message);
         let progress = |done: usize, count: usize| {
             report(self.control, start, "decode", done, count, &message);
             !self.control.cancelled()
         };
         let every = self.job.spec.hold_out_every as usize;
-        object_set(self.log, &PortBlobs(self.port), plan, every, progress)?.ok_or(Error::Cancelled)
+        let blobs = PortBlobs(self.port);
+        object_set(self.log, &blobs, &self.labels.labels, plan, every, progress)?
+            .ok_or(Error::Cancelled)
     }
 
     fn publish(
@@ -184,7 +196,16 @@ impl ObjectsJob<'_> {
     }
 }
 
-fn count(decision: &mut TrackDecision, rejected: &Rejections) {
+/// Why a track with so few frames is not kept; empty if they are enough.
+pub(super) fn too_few(usable_frames: u32, least: usize) -> String {
+    if (usable_frames as usize) < least {
+        format!("{usable_frames} usable frames, {least} needed")
+    } else {
+        String::new()
+    }
+}
+
+pub(super) fn count(decision: &mut TrackDecision, rejected: &Rejections) {
     for (reason, frames) in rejected {
         decision.rejected_frames += frames;
         *decision

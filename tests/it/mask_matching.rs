@@ -1,0 +1,113 @@
+//! Masks that name no track, damaged as segmenters damage them, matched to the tracks of a generated log.
+
+use std::collections::BTreeMap;
+use std::io;
+
+use backlot_client::read_log::{BlobSource, ReadLog};
+use backlot_e2e::damaged_masks::{Truth, Truths, damage};
+use backlot_e2e::logs;
+use backlot_server::api::convert_drive_log::drive_log_from_wire;
+use backlot_server::domain::blob::BlobRef;
+use backlot_server::ingest::{
+    LogBlobs, LogMasks, MaskMatching, MaskOutcome, MatchedMasks, match_masks,
+};
+use bytes::Bytes;
+
+struct Blobs(BTreeMap<String, BlobSource>);
+
+impl LogBlobs for Blobs {
+    type Error = io::Error;
+
+    fn size_bytes(&self, blob: &BlobRef) -> io::Result<Option<u64>> {
+        Ok(Some(self.read(blob)?.len() as u64))
+    }
+
+    fn read(&self, blob: &BlobRef) -> io::Result<Bytes> {
+        self.0[&blob.digest.to_string()].read()
+    }
+}
+
+/// How the masks of a log were matched, against what they are.
+#[derive(Debug, Default)]
+struct Score {
+    intact: u32,
+    right: u32,
+    /// Whatever was matched to a track it does not show, or shows more than.
+    wrong: Vec<String>,
+    damaged: u32,
+}
+
+impl Score {
+    fn of(masks: &MatchedMasks, truths: &Truths) -> Self {
+        let mut score = Self::default();
+        for (frame, truths) in truths.iter().enumerate() {
+            for (&mask, &truth) in truths {
+                let track = masks.track_of(frame, mask);
+                match truth {
+                    Truth::Intact(own) => {
+                        score.intact += 1;
+                        score.right += u32::from(track == Some(own));
+                    }
+                    Truth::Merged | Truth::False => score.damaged += 1,
+                }
+                if track.is_some() && track.map(Truth::Intact) != Some(truth) {
+                    score
+                        .wrong
+                        .push(format!("frame {frame}: {truth:?} matched to {track:?}"));
+                }
+            }
+        }
+        score
+    }
+
+    fn is_good(&self) -> bool {
+        self.wrong.is_empty() && self.right * 100 >= self.intact * 95
+    }
+}
+
+fn matched(log: ReadLog, matching: &MaskMatching) -> MatchedMasks {
+    let mut wire = log.drive_log;
+    wire.name = "driveLogs/crowded".to_owned();
+    let drive_log = drive_log_from_wire(wire).unwrap();
+    let blobs = Blobs(log.blobs);
+    let masks = match_masks(&drive_log, &LogMasks(&blobs), matching, |_, _| true);
+    masks.unwrap().unwrap()
+}
+
+#[test]
+fn damaged_masks_are_matched_right_or_not_at_all() {
+    let whole = logs::crowded(5);
+    let mut careless_wrong = 0;
+    for seed in 11..15 {
+        let mut log = copy(&whole);
+        let truths = damage(&mut log, seed);
+        let masks = matched(copy(&log), &MaskMatching::default());
+        let score = Score::of(&masks, &truths);
+        println!("{score:?} {:?}", masks.counts());
+        assert!(score.intact > 150 && score.damaged > 30, "{score:?}");
+        assert!(score.is_good(), "{score:?}");
+        // Every mask has an outcome, and what is not matched has a reason.
+        let counts = masks.counts();
+        assert_eq!(counts.values().sum::<u32>(), score.intact + score.damaged);
+        assert_eq!(counts[&MaskOutcome::Matched], score.right);
+
+        let careless = MaskMatching {
+            most_of_farther: 1.0,
+            most_of_nearer: 1.0,
+            most_outside: 1.0,
+            least_follow_iou: 0.0,
+            ..MaskMatching::default()
+        };
+        let score = Score::of(&matched(log, &careless), &truths);
+        assert!(!score.is_good(), "merged masks pass unseen: {score:?}");
+        careless_wrong += score.wrong.len();
+    }
+    println!("{careless_wrong} wrong matches without the check for merged masks");
+}
+
+fn copy(log: &ReadLog) -> ReadLog {
+    ReadLog {
+        drive_log: log.drive_log.clone(),
+        blobs: log.blobs.clone(),
+    }
+}
