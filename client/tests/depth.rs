@@ -14,7 +14,7 @@ use backlot_engine::view::{PixelLabel, Split, TrainView};
 use backlot_proto::v1;
 use backlot_server::api::convert_drive_log::drive_log_from_wire;
 use backlot_server::domain::blob::BlobRef;
-use backlot_server::ingest::{BackgroundSet, LogBlobs, background_set, validate};
+use backlot_server::ingest::{BackgroundSet, LogBlobs, LogLabels, background_set, validate};
 use bytes::Bytes;
 use image::{DynamicImage, ImageBuffer, ImageFormat, Luma};
 
