@@ -1,8 +1,6 @@
 //! Decomposition as a job: what it says, that it is kept, and that later jobs reuse it and nothing stale.
 
-use std::path::Path;
-
-use backlot_client::{Connection, upload, watch};
+use backlot_client::{Connection, listing, upload, watch};
 use backlot_e2e::damaged_masks::damage;
 use backlot_e2e::programs::finish;
 use backlot_e2e::{Server, backlot, logs};
@@ -11,64 +9,34 @@ use tonic::Code;
 
 const LOG: &str = "driveLogs/street";
 
-/// A server with a log whose instance masks name no track.
-async fn server_with_log(folder: &Path) -> (Server, Connection) {
-    let server = Server::start(&folder.join("data")).await;
-    let connection = server.connect().await;
-    let mut log = logs::small(7);
-    damage(&mut log, 3);
-    upload::upload_log(&connection, &log, LOG, &|_| {})
-        .await
-        .unwrap();
-    (server, connection)
-}
-
-fn request(kind: v1::JobKind, budget: v1::Budget) -> v1::CreateJobRequest {
+fn request(kind: v1::JobKind) -> v1::CreateJobRequest {
     v1::CreateJobRequest {
         kind: kind.into(),
         drive_log: LOG.to_owned(),
-        budget: budget.into(),
+        budget: v1::Budget::Quick.into(),
         ..Default::default()
     }
 }
 
-async fn decompose(connection: &Connection) -> v1::Job {
-    let request = request(v1::JobKind::Decompose, v1::Budget::Quick);
-    let job = watch::create_job(connection, request).await.unwrap();
+async fn finished(connection: &Connection, kind: v1::JobKind) -> v1::Job {
+    let job = watch::create_job(connection, request(kind)).await.unwrap();
     let job = watch::watch_job(connection, &job.name, |_| {}).await;
     let job = job.unwrap();
     assert_eq!(job.state(), v1::JobState::Succeeded, "{job:?}");
     job
 }
 
-/// Starts training a background, and stops it once it decodes; what it said then.
-async fn decoding_message(connection: &Connection) -> String {
-    let request = request(v1::JobKind::Background, v1::Budget::Paper);
-    let name = watch::create_job(connection, request).await.unwrap().name;
-    let watch = v1::WatchJobRequest { name: name.clone() };
-    let mut stream = connection
-        .jobs()
-        .watch_job(watch)
-        .await
-        .unwrap()
-        .into_inner();
-    let mut found = String::new();
-    while let Some(message) = stream.message().await.unwrap() {
-        let job = message.job.expect("a message holds a job");
-        let progress = job.progress.unwrap_or_default();
-        if progress.message.starts_with("decoding frames") && found.is_empty() {
-            found = progress.message;
-            let cancel = v1::CancelJobRequest { name: name.clone() };
-            connection.jobs().cancel_job(cancel).await.unwrap();
-        }
-    }
-    found
-}
-
 #[tokio::test]
-async fn a_decomposition_is_shown_and_reused_until_its_inputs_change() {
+async fn every_track_of_a_decomposed_log_is_shown_with_its_reasons() {
     let folder = tempfile::tempdir().unwrap();
-    let (server, connection) = server_with_log(folder.path()).await;
+    let server = Server::start(&folder.path().join("data")).await;
+    let connection = server.connect().await;
+    // Its instance masks name no track.
+    let mut log = logs::small(7);
+    damage(&mut log, 3);
+    upload::upload_log(&connection, &log, LOG, &|_| {})
+        .await
+        .unwrap();
     let show = ["--output", "json", "logs", "show", "street", "--tracks"];
     let none = finish(&mut backlot(&server.url(), &show));
     assert_ne!(none.code, Some(0), "{none:?}");
@@ -76,40 +44,56 @@ async fn a_decomposition_is_shown_and_reused_until_its_inputs_change() {
         none.stderr.contains("jobs submit decompose --log street"),
         "it says what to do: {none:?}"
     );
-
-    let job = decompose(&connection).await;
-    check_report(&job);
+    let arguments = ["jobs", "submit", "decompose", "--log", "street", "--watch"];
+    finish(&mut backlot(&server.url(), &arguments)).succeeded();
+    let jobs = listing::jobs(&connection, LOG).await.unwrap();
+    check_report(&jobs[0]);
     let shown = finish(&mut backlot(&server.url(), &show)).succeeded();
-    check_rows(&shown.stdout, &job);
+    check_rows(&shown.stdout, &jobs[0]);
+}
 
-    let message = decoding_message(&connection).await;
-    assert!(message.contains(&job.name), "reuse is said: {message:?}");
-    let again = decompose(&connection).await;
-    assert!(
-        again.warnings.iter().any(|w| w.contains(&job.name)),
-        "{again:?}"
-    );
-    assert_eq!(
-        (again.tracks, again.free_masks),
-        (job.tracks.clone(), job.free_masks.clone())
-    );
+/// Whether the job reused the decomposition of `made`.
+fn reuses(job: &v1::Job, made: &v1::Job) -> bool {
+    job.warnings.iter().any(|w| w.contains(&made.name))
+}
 
-    // Another threshold is another decomposition, whatever the log's name is.
+#[tokio::test]
+async fn a_decomposition_is_reused_until_its_inputs_change() {
+    let folder = tempfile::tempdir().unwrap();
+    let data = folder.path().join("data");
+    let server = Server::start(&data).await;
+    let connection = server.connect().await;
+    // Its objects are too small to be trained, so that jobs end at once.
+    upload::upload_log(&connection, &logs::tiny(3), LOG, &|_| {})
+        .await
+        .unwrap();
+    let alone = finished(&connection, v1::JobKind::Objects).await;
+    let made = finished(&connection, v1::JobKind::Decompose).await;
+    let with = finished(&connection, v1::JobKind::Objects).await;
+    assert!(!reuses(&alone, &made) && reuses(&with, &made), "{with:?}");
+    assert_eq!(with.tracks, alone.tracks, "reuse changes no decision");
+    let again = finished(&connection, v1::JobKind::Decompose).await;
+    assert!(reuses(&again, &made), "{again:?}");
+    assert_eq!(again.tracks, made.tracks);
+
+    // A restart loses nothing, and another threshold is another decomposition.
+    assert!(server.stop().success());
+    let server = Server::start(&data).await;
+    let with = finished(&server.connect().await, v1::JobKind::Objects).await;
+    assert!(reuses(&with, &made), "{with:?}");
     assert!(server.stop().success());
     let config = folder.path().join("server.toml");
     std::fs::write(&config, "mask_iou = 0.55\n").unwrap();
     let config = config.to_string_lossy().into_owned();
-    let data = folder.path().join("data");
-    let arguments = ["--config", &config];
-    let server = Server::start_on(&data, backlot_e2e::server::free_port(), &arguments).await;
+    let port = backlot_e2e::server::free_port();
+    let server = Server::start_on(&data, port, &["--config", &config]).await;
     let connection = server.connect().await;
-    let message = decoding_message(&connection).await;
-    assert!(
-        !message.is_empty() && !message.contains("jobs/"),
-        "nothing stale is used: {message:?}"
-    );
-    let other = decompose(&connection).await;
-    assert!(other.warnings.is_empty(), "{other:?}");
+    let stale = finished(&connection, v1::JobKind::Objects).await;
+    assert!(!reuses(&stale, &made), "{stale:?}");
+    let other = finished(&connection, v1::JobKind::Decompose).await;
+    assert!(!reuses(&other, &made), "{other:?}");
+    let with = finished(&connection, v1::JobKind::Objects).await;
+    assert!(reuses(&with, &other), "{with:?}");
 }
 
 fn check_report(job: &v1::Job) {
@@ -154,7 +138,7 @@ async fn a_decomposition_of_nothing_is_refused_and_a_waiting_one_cancelled() {
     let connection = server.connect().await;
     let unknown = v1::CreateJobRequest {
         drive_log: "driveLogs/nowhere".to_owned(),
-        ..request(v1::JobKind::Decompose, v1::Budget::Quick)
+        ..request(v1::JobKind::Decompose)
     };
     let refused = connection.jobs().create_job(unknown).await.unwrap_err();
     assert_eq!(refused.code(), Code::NotFound, "{refused}");
@@ -163,9 +147,12 @@ async fn a_decomposition_of_nothing_is_refused_and_a_waiting_one_cancelled() {
         .await
         .unwrap();
     // The one worker is busy for long.
-    let busy = request(v1::JobKind::Background, v1::Budget::Paper);
+    let busy = v1::CreateJobRequest {
+        budget: v1::Budget::Paper.into(),
+        ..request(v1::JobKind::Background)
+    };
     let busy = watch::create_job(&connection, busy).await.unwrap().name;
-    let waiting = request(v1::JobKind::Decompose, v1::Budget::Quick);
+    let waiting = request(v1::JobKind::Decompose);
     let waiting = watch::create_job(&connection, waiting).await.unwrap().name;
     for name in [waiting.clone(), busy] {
         let cancel = v1::CancelJobRequest { name };

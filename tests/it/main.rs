@@ -8,6 +8,8 @@ mod jobs;
 
 mod mask_matching;
 
+mod decompose;
+
 mod bad_input;
 
 mod data_dir;
