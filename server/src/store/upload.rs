@@ -17,7 +17,7 @@ pub struct Upload {
     file: File,
     committed_bytes: u64,
     /// Over what was written, if that is all there is: a resumed blob is read again at its end.
-    hasher: Option<blake3::Hasher>,
+    hasher: Option<Box<blake3::Hasher>>,
 }
 
 impl Upload {
@@ -35,7 +35,7 @@ impl Upload {
                 path,
                 file,
                 committed_bytes,
-                hasher: (committed_bytes == 0).then(blake3::Hasher::new),
+                hasher: (committed_bytes == 0).then(Box::default),
             })
     }
 

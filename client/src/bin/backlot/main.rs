@@ -32,7 +32,7 @@ use args::{Arguments, Command};
 async fn main() -> ExitCode {
     let arguments = Arguments::parse();
     start_tracing();
-    match run(arguments).await {
+    match Box::pin(run(arguments)).await {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             eprintln!("error: {error:#}");
