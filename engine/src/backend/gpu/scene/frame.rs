@@ -62,11 +62,11 @@ impl<'a> Frame<'a> {
         while !rest.is_empty() {
             let most = room.most_lists(staged.device.max_binding_bytes());
             let (count, pixels) = self.next_batch(rest, pace.rays().min(most));
-            let began = Instant::now();
             let turn = staged.device.turn(Priority::Render);
             if cancelled() {
                 return Err(crate::Error::Cancelled);
             }
+            let began = Instant::now();
             let (plan, shown) = match self.batch(work, room, &pixels) {
                 // Lists have grown since the batch was chosen: a smaller one fits.
                 Err(Error::TooLarge { .. }) if count > 1 => continue,
