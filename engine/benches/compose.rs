@@ -126,6 +126,7 @@ fn background() -> Field {
         .collect();
     let input = BackgroundInput {
         lidar_points: points(&views),
+        beams: Vec::new(),
         ego_path: views
             .iter()
             .map(|v| v.local_from_camera.translation_m)

@@ -70,6 +70,7 @@ fn street() -> BackgroundInput {
     });
     BackgroundInput {
         lidar_points: lidar_points.collect(),
+        beams: Vec::new(),
         ego_path: views
             .iter()
             .map(|v| v.local_from_camera.translation_m)

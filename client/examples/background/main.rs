@@ -10,7 +10,7 @@ use std::path::PathBuf;
 use std::sync::Mutex;
 
 use anyhow::{Context, Result, bail, ensure};
-use backlot_client::generator::{StreetConfig, StreetWorld};
+use backlot_client::generator::{LidarConfig, StreetConfig, StreetWorld};
 use backlot_engine::backend::cpu::CpuBackend;
 use backlot_engine::train::{
     BackgroundInput, Budget, Progress, Stage, TrainControl, TrainPreset, train_background,
@@ -47,6 +47,9 @@ struct Arguments {
     width: u32,
     #[arg(long, default_value_t = 640)]
     height: u32,
+    /// Half the sector around straight ahead that the scanner records; a whole turn as the scanners of cars do.
+    #[arg(long, default_value_t = 180.0)]
+    lidar_sector_deg: f64,
     #[arg(long, default_value_t = 1)]
     seed: u64,
     /// One frame in so many is held out.
@@ -78,9 +81,10 @@ fn main() -> Result<()> {
     let preset = preset(&arguments)?;
     let pixels: usize = input.views.iter().map(|v| v.camera.pixel_count()).sum();
     eprintln!(
-        "{} frames, {pixels} pixels, {} returns",
+        "{} frames, {pixels} pixels, {} returns, {} beams",
         input.views.len(),
-        input.lidar_points.len()
+        input.lidar_points.len(),
+        input.beams.len()
     );
     let watch = Watch::new(&arguments, &input);
     let trained = train_background(&input, &preset, arguments.seed, &CpuBackend, &watch)?;
@@ -130,6 +134,10 @@ fn street(arguments: &Arguments) -> Result<BackgroundInput> {
         width: arguments.width,
         height: arguments.height,
         travel_m: arguments.travel_m,
+        lidar: LidarConfig {
+            half_sector_rad: arguments.lidar_sector_deg.to_radians(),
+            ..LidarConfig::default()
+        },
         parked_cars: StreetConfig::parked_along(arguments.travel_m),
         ..StreetConfig::default()
     };

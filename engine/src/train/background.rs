@@ -9,7 +9,7 @@ use super::fit::{fit, measured};
 use super::free_space::{FreeSpace, Visibility};
 use super::input::{BackgroundInput, Trained};
 use super::preset::TrainPreset;
-use super::refine::field_bytes;
+use super::refine::{Urgency, field_bytes};
 use super::sampler::Sampler;
 use super::seed::{CELL_VOXELS, CellSet, seed_density, store_around_points};
 use super::survey::survey;
@@ -20,9 +20,10 @@ use crate::scene::Draws;
 use crate::view::Split;
 use crate::{Error, Result};
 
-/// Room below the lowest and above the highest return, in metres: returns end where the beams do, facades do not.
+/// Room below the lowest return and above the highest camera, in metres: returns end where the beams do, houses of six floors do
+/// not. What lies above the box only the sky map can show, without parallax.
 const BELOW_M: f64 = 1.0;
-const ABOVE_M: f64 = 12.0;
+const ABOVE_M: f64 = 24.0;
 /// Returns outside these quantiles do not widen the box.
 const EXTENT_QUANTILE: f64 = 0.002;
 /// Room beyond the farthest returns: scanners end before streets do.
@@ -48,6 +49,7 @@ pub fn train_background(
     validate_views("background", &input.views)?;
     require_foreground("background", &input.views)?;
     validate_points("background", "lidar_points", &input.lidar_points)?;
+    validate_beams(input)?;
     if input.ego_path.is_empty() || !input.ego_path.iter().all(|p| p.is_finite()) {
         return Err(Error::invalid(
             "background: ego_path must be finite and not empty",
@@ -61,23 +63,38 @@ pub fn train_background(
     });
     let path: Vec<Vec3> = input.ego_path.iter().map(|p| p.as_vec3()).collect();
     let reach_m = &preset.level_reach_m;
-    let allowed = |p: Vec3, level: usize| {
-        reach_m[level].is_infinite()
-            || path
-                .iter()
-                .any(|at| at.distance_squared(p) < reach_m[level] * reach_m[level])
+    // What is near the path is near some camera: the largest on the images.
+    let urgency = |p: Vec3, level: usize| {
+        let distances = path.iter().map(|at| at.distance_squared(p));
+        let nearest = distances.fold(f32::INFINITY, f32::min);
+        (nearest < reach_m[level] * reach_m[level]).then_some(nearest)
     };
-    let field = prepare(input, preset, seed, &allowed)?;
-    let sampler = Sampler::whole_images(&input.views, seed);
-    let (field, run) = fit(field, &sampler, preset, &allowed, backend, control)?;
+    let field = prepare(input, preset, seed, &urgency)?;
+    let sampler = Sampler::whole_images(&input.views, &input.beams, seed);
+    let (field, run) = fit(field, &sampler, preset, &urgency, backend, control)?;
     Ok(measured(field, run, &input.views, None, control))
+}
+
+/// Every beam has a length, and a view.
+fn validate_beams(input: &BackgroundInput) -> Result<()> {
+    let wrong = input.beams.iter().position(|beam| {
+        let way = Vec3::from(beam.return_m) - Vec3::from(beam.origin_m);
+        let length = way.length();
+        !(length.is_finite() && length > 0.0) || beam.view as usize >= input.views.len()
+    });
+    match wrong {
+        Some(number) => Err(Error::invalid(format!(
+            "background: beams[{number}] must have finite, different ends and the index of a view"
+        ))),
+        None => Ok(()),
+    }
 }
 
 fn prepare(
     input: &BackgroundInput,
     preset: &TrainPreset,
     seed: u64,
-    allowed: &(dyn Fn(Vec3, usize) -> bool + Sync),
+    urgency: Urgency<'_>,
 ) -> Result<Field> {
     if preset.options.dense_voxels > 0 {
         return prepare_dense(input, preset, seed);
@@ -89,10 +106,9 @@ fn prepare(
     let near = CellSet::around_points(&field, &points);
     let free = FreeSpace::new(&input.views);
     let possible = possible_cubes(&free, low, high);
-    // Coarse levels wherever something may be, so that it can be found; the finest only at returns.
-    let coarse = field.levels.len().saturating_sub(1);
+    // The coarsest level wherever something may be, so that it can be found in few samples; finer ones at returns.
     for cube in &possible {
-        for level in &mut field.levels[..coarse] {
+        if let Some(level) = field.levels.first_mut() {
             for corner in 0..8 {
                 let step = Vec3::new(
                     (corner & 1) as f32,
@@ -113,7 +129,7 @@ fn prepare(
             available_bytes: preset.memory_bytes,
         });
     }
-    store_around_points(&mut field, &points, preset.memory_bytes, allowed);
+    store_around_points(&mut field, &points, preset.memory_bytes, urgency);
     seed_density(&mut field, &points, preset.seed_sigma);
     let cubes = CellSet::of_cubes(&field, &possible, CUBE_M);
     field.occupancy = survey(&field, preset.step_voxels, |centre, _| {

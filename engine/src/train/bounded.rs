@@ -103,7 +103,7 @@ pub fn train_bounded(
     });
     let sampler = Sampler::before(&input.views, input.backdrop, seed);
     let field = prepare(input, preset, seed)?;
-    let (field, run) = fit(field, &sampler, preset, &|_, _| true, backend, control)?;
+    let (field, run) = fit(field, &sampler, preset, &|_, _| Some(0.0), backend, control)?;
     Ok(measured(
         field,
         run,

@@ -5,7 +5,7 @@ use super::evaluate::evaluate;
 use super::input::Trained;
 use super::preset::TrainPreset;
 use super::ray::{Rates, TrainRay};
-use super::refine::refine;
+use super::refine::{Urgency, refine};
 use super::sampler::{RayMix, Sampler};
 use crate::backend::Backend;
 use crate::field::Field;
@@ -26,12 +26,12 @@ pub(super) struct Run {
     pub(super) warnings: Vec<String>,
 }
 
-/// Fits `field` and returns it. `allowed(position, level)` says where a level may store bricks.
+/// Fits `field` and returns it. `urgency(position, level)` says where a level may store bricks.
 pub(super) fn fit(
     field: Field,
     sampler: &Sampler<'_>,
     preset: &TrainPreset,
-    allowed: &(dyn Fn(glam::Vec3, usize) -> bool + Sync),
+    urgency: Urgency<'_>,
     backend: &dyn Backend,
     control: &dyn TrainControl,
 ) -> Result<(Field, Run)> {
@@ -61,7 +61,7 @@ pub(super) fn fit(
         }
         if preset.surveys.due(step, done) > surveyed {
             surveyed += 1;
-            run.warnings.extend(refine(&mut trainer, preset, allowed)?);
+            run.warnings.extend(refine(&mut trainer, preset, urgency)?);
         }
         let mix = RayMix {
             pixel_rays,
@@ -97,7 +97,7 @@ pub(super) fn fit(
         }
     }
     run.warnings
-        .extend(refine(&mut trainer, preset, &|_, _| false)?);
+        .extend(refine(&mut trainer, preset, &|_, _| None)?);
     run.seconds = control.seconds() - start_s;
     run.psnr_train = error.map(psnr_db);
     let field = trainer.into_field()?;

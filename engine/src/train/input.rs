@@ -13,8 +13,21 @@ pub struct BackgroundInput {
     /// Returns of the static scene, all sweeps of the training frames, and what stands in for returns: points of depth maps and
     /// of structure from motion. They seed bricks and density, and bound the box.
     pub lidar_points: Vec<[f32; 3]>,
+    /// Ways of LiDAR pulses in every direction, of training frames: the space up to a return is free, whether or not a camera
+    /// saw it.
+    pub beams: Vec<LidarBeam>,
     /// Camera or ego positions of the drive, in order; the finest voxels follow them.
     pub ego_path: Vec<DVec3>,
+}
+
+/// The way of one LiDAR pulse.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LidarBeam {
+    /// The sensor at the pulse's time.
+    pub origin_m: [f32; 3],
+    pub return_m: [f32; 3],
+    /// Index of a view that was taken with the sweep, whose pose correction applies.
+    pub view: u32,
 }
 
 /// One rigid object. All coordinates in its cuboid's frame (origin at the centre, x forward, y left, z up), metres.

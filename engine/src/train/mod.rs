@@ -31,7 +31,7 @@ pub use background::train_background;
 pub use bounded::{seen_box, train_bounded};
 pub use control::{NoControl, Progress, Stage, TrainControl};
 pub use dvgo::{DvgoRecipe, frustum_box, train_dvgo};
-pub use input::{BackgroundInput, BoundedInput, ObjectInput, Trained};
+pub use input::{BackgroundInput, BoundedInput, LidarBeam, ObjectInput, Trained};
 pub use object::{padded_half_m, train_object};
 pub use options::TrainOptions;
 pub use preset::{Budget, Surveys, TrainPreset};

@@ -72,7 +72,14 @@ pub fn train_object(
     let mut preset = preset.clone();
     preset.mix.mirror_share = if input.symmetric { MIRROR_SHARE } else { 0.0 };
     let field = prepare(input, half_m, &preset, seed)?;
-    let (field, run) = fit(field, &sampler, &preset, &|_, _| true, backend, control)?;
+    let (field, run) = fit(
+        field,
+        &sampler,
+        &preset,
+        &|_, _| Some(0.0),
+        backend,
+        control,
+    )?;
     Ok(measured(field, run, &input.views, None, control))
 }
 

@@ -40,6 +40,7 @@ impl TrainPreset {
             memory_bytes: 3 << 30,
             mix: RayMix {
                 depth_weight: 1.0,
+                beam_rays: 0,
                 ..base.mix
             },
             losses: RayLosses {

@@ -88,9 +88,9 @@ const FAST_MOST_VOXELS: f64 = 256.0;
 
 impl TrainPreset {
     pub fn background(budget: Budget) -> Self {
-        let (steps, most_passes) = match budget {
-            Budget::Quick => (1_400, 8.0),
-            Budget::Standard => (8_000, 40.0),
+        let (steps, most_passes, discovery) = match budget {
+            Budget::Quick => (1_400, 8.0, 0.1),
+            Budget::Standard => (8_000, 40.0, 0.04),
             Budget::Paper => return Self::paper_background(),
         };
         Self {
@@ -118,16 +118,18 @@ impl TrainPreset {
             mix: RayMix {
                 pixel_rays: 3_584,
                 depth_rays: 512,
+                beam_rays: 256,
                 color_weight: 1.0,
                 depth_weight: 0.02,
                 silhouette_weight: 0.0,
                 sky_weight: 0.01,
+                beam_weight: 0.01,
                 mirror_share: 0.0,
                 mirror_color: 0.0,
                 depth_margin_m: 2.0,
                 solid_teaches_sky: true,
             },
-            most_colored: u64::MAX,
+            most_colored: 100_000,
             solid_sky_from: 0.5,
             losses: RayLosses {
                 sample_color: 0.05,
@@ -138,9 +140,13 @@ impl TrainPreset {
                 depth_trim_m: f32::INFINITY,
                 ..RayLosses::default()
             },
-            surveys: Surveys::AtFractions(vec![0.1, 0.25, 0.5]),
+            surveys: Surveys::AtSteps(vec![150, 400, 800, 1_600, 4_000]),
             survey_alpha: 5e-3,
-            options: TrainOptions::default(),
+            options: TrainOptions {
+                // A coarse step through untouched space weighs 2e-3: it must be coloured until what is far from LiDAR is found.
+                min_weights: vec![(0.0, 2e-4), (discovery, 3e-3)],
+                ..TrainOptions::default()
+            },
         }
     }
 
@@ -173,10 +179,12 @@ impl TrainPreset {
             mix: RayMix {
                 pixel_rays: 2_048,
                 depth_rays: 0,
+                beam_rays: 0,
                 color_weight: 1.0,
                 depth_weight: 0.0,
                 silhouette_weight: 0.0,
                 sky_weight: 0.0,
+                beam_weight: 0.0,
                 mirror_share: 0.0,
                 mirror_color: 0.0,
                 depth_margin_m: 0.0,
@@ -230,10 +238,12 @@ impl TrainPreset {
             mix: RayMix {
                 pixel_rays: 2_048,
                 depth_rays: 128,
+                beam_rays: 0,
                 color_weight: 1.0,
                 depth_weight: 0.02,
                 silhouette_weight: 0.01,
                 sky_weight: 0.0,
+                beam_weight: 0.0,
                 mirror_share: 0.0,
                 mirror_color: 0.25,
                 depth_margin_m: 0.5,

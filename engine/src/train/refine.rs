@@ -16,7 +16,10 @@ pub(super) const NODE_BYTES: u64 = 4 * (1 + FEATURES as u64 + 2);
 /// Bytes of one brick with its optimiser state.
 pub(super) const BRICK_BYTES: u64 = BRICK_NODES as u64 * NODE_BYTES;
 
-/// Surveys the field, drops bricks no occupied cell reads, and stores bricks at occupied cells wherever `allowed`.
+/// Whether a level stores a brick around a point, and in which order while memory is short: the lowest first, `None` never.
+pub(super) type Urgency<'a> = &'a (dyn Fn(Vec3, usize) -> Option<f32> + Sync);
+
+/// Surveys the field, drops bricks no occupied cell reads, and stores bricks at occupied cells by their `urgency`.
 ///
 /// Returns a warning if the memory bound kept bricks from being stored.
 ///
@@ -25,21 +28,18 @@ pub(super) const BRICK_BYTES: u64 = BRICK_NODES as u64 * NODE_BYTES;
 pub(super) fn refine(
     trainer: &mut Trainer,
     preset: &TrainPreset,
-    allowed: &(dyn Fn(Vec3, usize) -> bool + Sync),
+    urgency: Urgency<'_>,
 ) -> Result<Option<String>> {
     trainer.fetch()?;
     let field = trainer.field();
     let old = &field.occupancy;
-    let alpha = preset.survey_alpha;
     let dense = survey(field, preset.step_voxels, |centre, voxel_m| {
-        !matches!(old.at(centre), Space::Empty { .. }) && is_dense(field, centre, voxel_m, alpha)
+        let occupied = !matches!(old.at(centre), Space::Empty { .. });
+        occupied && is_dense(field, centre, voxel_m, preset.survey_alpha)
     });
     let grown = dilate(field, preset.step_voxels, &dense);
-    let read: Vec<Vec<bool>> = field
-        .levels
-        .par_iter()
-        .map(|level| bricks_read(level, &grown))
-        .collect();
+    let levels = field.levels.par_iter();
+    let read: Vec<Vec<bool>> = levels.map(|level| bricks_read(level, &grown)).collect();
     let mut full = false;
     for (number, read) in read.iter().enumerate() {
         let level = &trainer.field().levels[number];
@@ -55,7 +55,7 @@ pub(super) fn refine(
             number,
             read,
             preset.memory_bytes,
-            allowed,
+            urgency,
         );
     }
     // Steps follow the finest stored voxel, which may have changed.
@@ -98,32 +98,47 @@ fn brick_number(bricks: UVec3, at: [u16; 3]) -> usize {
     (z * bricks.y as usize + y) * bricks.x as usize + x
 }
 
-/// Allocates the bricks that are read, where allowed. True if the memory bound was met.
+/// Allocates the bricks that are read, the most urgent first. True if the memory bound was met.
 fn store_bricks(
     field: &mut Field,
     number: usize,
     read: &[bool],
     memory_bytes: u64,
-    allowed: &(dyn Fn(Vec3, usize) -> bool + Sync),
+    urgency: Urgency<'_>,
 ) -> bool {
-    let room = (memory_bytes.saturating_sub(field_bytes(field)) / BRICK_BYTES) as usize;
-    let level = &mut field.levels[number];
-    let bricks = level.bricks_per_axis();
-    let half = Vec3::splat(level.brick_m() / 2.0);
+    let bricks = field.levels[number].bricks_per_axis();
     let positions = (0..read.len()).filter(|at| read[*at]).map(|at| {
         let (row, plane) = (bricks.x as usize, (bricks.x * bricks.y) as usize);
         [at % row, at % plane / row, at / plane].map(|c| c as u16)
     });
-    let wanted: Vec<[u16; 3]> = positions
-        .filter(|at| {
-            level.brick(*at) == NULL_BRICK && allowed(level.brick_origin(*at) + half, number)
-        })
+    allocate_urgent(field, number, positions, memory_bytes, urgency)
+}
+
+/// Allocates bricks that are not stored yet, the most urgent first. True if the memory bound was met.
+pub(super) fn allocate_urgent(
+    field: &mut Field,
+    number: usize,
+    positions: impl Iterator<Item = [u16; 3]>,
+    memory_bytes: u64,
+    urgency: Urgency<'_>,
+) -> bool {
+    let room = (memory_bytes.saturating_sub(field_bytes(field)) / BRICK_BYTES) as usize;
+    let level = &mut field.levels[number];
+    let half = Vec3::splat(level.brick_m() / 2.0);
+    let missing = positions.filter(|at| level.brick(*at) == NULL_BRICK);
+    let mut wanted: Vec<(f32, [u16; 3])> = missing
+        .filter_map(|at| Some((urgency(level.brick_origin(at) + half, number)?, at)))
         .collect();
-    level.reserve(wanted.len().min(room));
-    for at in wanted.iter().take(room) {
-        level.allocate(*at);
+    let full = wanted.len() > room;
+    if full {
+        wanted.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+        wanted.truncate(room);
     }
-    wanted.len() > room
+    level.reserve(wanted.len());
+    for (_, at) in wanted {
+        level.allocate(at);
+    }
+    full
 }
 
 /// Bytes of all stored bricks with optimiser state.
@@ -158,5 +173,31 @@ fn for_each_cell(mask: &Occupancy, mut visit: impl FnMut(Vec3, f32)) {
                 );
             }
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::background::empty_field;
+    use super::super::preset::Budget;
+    use super::*;
+
+    #[test]
+    fn the_most_urgent_bricks_are_stored_while_there_is_room() {
+        let preset = TrainPreset::background(Budget::Quick);
+        let stored = |urgency: Urgency<'_>, room: u64| {
+            let mut field = empty_field(Vec3::ZERO, Vec3::splat(6.4), &preset, 1).unwrap();
+            let all = (0..512u16).map(|n| [n % 8, n / 8 % 8, n / 64]);
+            let bound = field_bytes(&field) + room * BRICK_BYTES;
+            let full = allocate_urgent(&mut field, 2, all, bound, urgency);
+            let positions = field.levels[2].positions().to_vec();
+            (full, positions[positions.len() - room as usize..].to_vec())
+        };
+        let path = Vec3::new(6.0, 6.0, 0.0);
+        let (full, near) = stored(&|p, _| Some(p.distance_squared(path)), 8);
+        assert!(full && near.iter().all(|[x, y, z]| *x >= 5 && *y >= 5 && *z <= 2));
+        let (full, by_number) = stored(&|_, _| Some(0.0), 8);
+        assert!(full && by_number != near);
+        assert!(!stored(&|p, _| (p.x < 0.8).then_some(0.0), 64).0);
     }
 }

@@ -1,26 +1,37 @@
 //! Draws the rays of a step from the training views.
 
-use glam::{DVec2, DVec3};
+use glam::{DVec2, DVec3, Vec3};
 use rayon::prelude::*;
 
+use super::input::LidarBeam;
 use super::ray::{Backdrop, Silhouette, TrainRay};
+use crate::field::Ray;
 use crate::scene::Draws;
 use crate::view::{PixelLabel, Split, TrainView};
 
 /// Redraws of a pixel that supervises nothing, before the ray goes without a target.
 const REDRAWS: usize = 24;
 
+/// What a pulse's way must keep from its return to be free for certain, as a part of its range and in metres: pulses graze the
+/// ground at 3 degrees and less, and a voxel before it must not be cleared.
+const BEAM_MARGIN: f32 = 0.1;
+const BEAM_MARGIN_M: f32 = 0.5;
+
 /// How many rays of each sort a step has, and the weight of their losses.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RayMix {
     pub pixel_rays: usize,
     pub depth_rays: usize,
+    /// LiDAR pulses that clear the space up to their returns.
+    pub beam_rays: usize,
     pub color_weight: f32,
     pub depth_weight: f32,
     /// Opaque and transparent rays of objects, each sort a mean of its own.
     pub silhouette_weight: f32,
     /// Transparency of sky pixels.
     pub sky_weight: f32,
+    /// Transparency of LiDAR pulses.
+    pub beam_weight: f32,
     /// Objects: mirrored rays' share of rays, and the factor on their colour weight.
     pub mirror_share: f64,
     pub mirror_color: f32,
@@ -67,19 +78,19 @@ pub(super) struct Sampler<'a> {
     views: Vec<(u32, &'a TrainView, PixelWindow)>,
     /// Views with depths.
     depth_views: Vec<(u32, &'a TrainView)>,
+    beams: &'a [LidarBeam],
     subject: Subject,
     seed: u64,
 }
 
 impl<'a> Sampler<'a> {
     /// Rays through all pixels of the training views.
-    pub(super) fn whole_images(views: &'a [TrainView], seed: u64) -> Self {
-        Self::new(
-            views,
-            |view| Some(PixelWindow::whole(view)),
-            Subject::Background,
-            seed,
-        )
+    pub(super) fn whole_images(views: &'a [TrainView], beams: &'a [LidarBeam], seed: u64) -> Self {
+        let window = |view: &TrainView| Some(PixelWindow::whole(view));
+        Self {
+            beams,
+            ..Self::new(views, window, Subject::Background, seed)
+        }
     }
 
     /// Rays through all pixels of views of a scene in front of one colour.
@@ -117,6 +128,7 @@ impl<'a> Sampler<'a> {
                 .filter_map(|(number, view)| Some((number, view, window(view)?)))
                 .collect(),
             depth_views: train.filter(|(_, view)| !view.depth.is_empty()).collect(),
+            beams: &[],
             subject,
             seed,
         }
@@ -142,7 +154,11 @@ impl<'a> Sampler<'a> {
     /// Replaces `out` by the rays of one step.
     pub(super) fn draw(&self, step: u64, mix: &RayMix, out: &mut Vec<TrainRay>) {
         let depth_rays = if self.has_depth() { mix.depth_rays } else { 0 };
-        let count = mix.pixel_rays + depth_rays;
+        let beam_rays = match self.beams.len() {
+            0 => 0,
+            _ => mix.beam_rays,
+        };
+        let count = mix.pixel_rays + depth_rays + beam_rays;
         (0..count)
             .into_par_iter()
             .with_min_len(256)
@@ -150,8 +166,10 @@ impl<'a> Sampler<'a> {
                 let mut draws = Draws::new(self.seed, step, number as u32);
                 if number < mix.pixel_rays {
                     self.pixel_ray(mix, &mut draws)
-                } else {
+                } else if number < mix.pixel_rays + depth_rays {
                     self.depth_ray(mix, depth_rays, &mut draws)
+                } else {
+                    self.beam_ray(mix, &mut draws)
                 }
             })
             .collect_into_vec(out);
@@ -221,6 +239,25 @@ impl<'a> Sampler<'a> {
         self.maybe_mirrored(ray, mix, draws)
     }
 
+    fn beam_ray(&self, mix: &RayMix, draws: &mut Draws) -> TrainRay {
+        let beam = self.beams[draws.below(self.beams.len())];
+        let origin = Vec3::from(beam.origin_m);
+        let way = Vec3::from(beam.return_m) - origin;
+        let range_m = way.length();
+        TrainRay {
+            ray: Ray {
+                origin,
+                direction: way / range_m,
+            },
+            phase: draws.unit() as f32,
+            t_max: range_m * (1.0 - BEAM_MARGIN) - BEAM_MARGIN_M,
+            backdrop: Backdrop::SkyAsIs,
+            silhouette: Silhouette::Transparent,
+            silhouette_weight: mix.beam_weight / mix.beam_rays as f32,
+            ..no_target(beam.view)
+        }
+    }
+
     /// The ray's reflection about the x-z plane, for a share of the rays. Geometry keeps its weight; baked-in light does not
     /// mirror, so colour is trusted less.
     fn maybe_mirrored(&self, mut ray: TrainRay, mix: &RayMix, draws: &mut Draws) -> TrainRay {
@@ -238,6 +275,17 @@ fn bare_ray(number: u32, view: &TrainView, pixel: DVec2, draws: &mut Draws) -> T
     TrainRay {
         ray: view.ray(pixel),
         phase: draws.unit() as f32,
+        ..no_target(number)
+    }
+}
+
+fn no_target(view: u32) -> TrainRay {
+    TrainRay {
+        ray: Ray {
+            origin: Vec3::ZERO,
+            direction: Vec3::X,
+        },
+        phase: 0.0,
         t_max: f32::INFINITY,
         color: [0.0; 3],
         color_weight: 0.0,
@@ -246,7 +294,7 @@ fn bare_ray(number: u32, view: &TrainView, pixel: DVec2, draws: &mut Draws) -> T
         silhouette_weight: 0.0,
         range_m: 0.0,
         range_weight: 0.0,
-        view: number,
+        view,
         mirrored: false,
     }
 }
@@ -291,4 +339,43 @@ fn cuboid_window(view: &TrainView, half_m: DVec3) -> Option<PixelWindow> {
         width: span.x,
         height: span.y,
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::tests::drive;
+    use super::super::{Budget, TrainPreset};
+    use super::*;
+
+    #[test]
+    fn beams_are_transparent_to_shortly_before_their_returns() {
+        let mut input = drive();
+        let (origin, hit) = (Vec3::new(0.0, 0.0, 1.8), Vec3::new(10.0, 2.0, 0.0));
+        input.beams.push(LidarBeam {
+            origin_m: origin.to_array(),
+            return_m: hit.to_array(),
+            view: 3,
+        });
+        let mix = RayMix {
+            pixel_rays: 64,
+            depth_rays: 0,
+            ..TrainPreset::background(Budget::Quick).mix
+        };
+        let mut rays = Vec::new();
+        Sampler::whole_images(&input.views, &input.beams, 1).draw(0, &mix, &mut rays);
+        let beams = &rays[mix.pixel_rays..];
+        assert!(!beams.is_empty() && beams.len() == mix.beam_rays);
+        let range_m = origin.distance(hit);
+        for beam in beams {
+            let left_m = beam.ray.at(beam.t_max).distance(hit);
+            assert!((left_m - 0.1 * range_m - 0.5).abs() < 1e-4, "{left_m}");
+            assert_eq!(beam.silhouette, Silhouette::Transparent);
+            assert_eq!((beam.color_weight, beam.range_weight), (0.0, 0.0));
+            assert_eq!((beam.ray.origin, beam.view), (origin, 3));
+        }
+        let weight: f32 = beams.iter().map(|beam| beam.silhouette_weight).sum();
+        assert!((weight - mix.beam_weight).abs() < 1e-6, "{weight}");
+        Sampler::whole_images(&input.views, &[], 1).draw(0, &mix, &mut rays);
+        assert_eq!(rays.len(), mix.pixel_rays);
+    }
 }

@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 
 use glam::{UVec3, Vec3};
 
-use super::refine::{BRICK_BYTES, field_bytes};
+use super::refine::{Urgency, allocate_urgent};
 use crate::field::Field;
 
 /// Edge of an occupancy cell in finest voxels.
@@ -88,12 +88,12 @@ impl CellSet {
     }
 }
 
-/// Stores the bricks that interpolate around every point, on each level where `allowed`, coarse to fine within the bound.
+/// Stores the bricks that interpolate around every point, coarse to fine and by their `urgency` within the bound.
 pub(super) fn store_around_points(
     field: &mut Field,
     points: &[Vec3],
     memory_bytes: u64,
-    allowed: &dyn Fn(Vec3, usize) -> bool,
+    urgency: Urgency<'_>,
 ) {
     for number in 0..field.levels.len() {
         let level = &field.levels[number];
@@ -107,15 +107,7 @@ pub(super) fn store_around_points(
                 }
             }
         }
-        let half = Vec3::splat(level.brick_m() / 2.0);
-        wanted
-            .retain(|at| level.brick(*at) == 0 && allowed(level.brick_origin(*at) + half, number));
-        let room = (memory_bytes.saturating_sub(field_bytes(field)) / BRICK_BYTES) as usize;
-        let level = &mut field.levels[number];
-        level.reserve(wanted.len().min(room));
-        for at in wanted.into_iter().take(room) {
-            level.allocate(at);
-        }
+        allocate_urgent(field, number, wanted.into_iter(), memory_bytes, urgency);
     }
 }
 

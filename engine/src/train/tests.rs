@@ -11,6 +11,7 @@ use crate::asset::{AssetHeader, AssetKind, ColorSpace, FORMAT_VERSION, Usage};
 use crate::backend::cpu::CpuBackend;
 use crate::camera::{Camera, Distortion, Rigid};
 use crate::class::ObjectClass;
+use crate::field::DensityActivation;
 use crate::view::{DepthReturn, PixelLabel, Split, TrainView};
 use crate::{Asset, Error};
 
@@ -132,6 +133,7 @@ pub(crate) fn drive() -> BackgroundInput {
     BackgroundInput {
         lidar_points: points(&views),
         views,
+        beams: Vec::new(),
         ego_path: eyes,
     }
 }
@@ -192,6 +194,18 @@ fn a_background_is_learned_up_to_its_held_out_views() {
         &mut samples,
     );
     assert!(tau < 0.1, "{tau}");
+}
+
+#[test]
+fn untouched_space_is_coloured_at_first_and_not_later() {
+    for budget in [Budget::Quick, Budget::Standard] {
+        let preset = TrainPreset::background(budget);
+        let finest = *preset.voxels_m.last().unwrap();
+        let sigma = DensityActivation::from_alpha(preset.alpha_init, finest).sigma(0.0);
+        let weight = 1.0 - (-sigma * preset.voxels_m[0]).exp();
+        let least = |done| preset.options.min_weight(done).unwrap();
+        assert!(weight > 2.0 * least(0.0) && weight < least(0.5), "{weight}");
+    }
 }
 
 /// Held-out PSNR of the field as trained and as stored, and the stored bytes.

@@ -286,6 +286,7 @@ pub(crate) fn drive(frames: u32) -> BackgroundInput {
     BackgroundInput {
         lidar_points: points(&train),
         views,
+        beams: Vec::new(),
         ego_path,
     }
 }

@@ -7,6 +7,7 @@ use backlot_engine::train::BackgroundInput;
 use backlot_engine::view::{DepthReturn, DepthSource, PixelLabel, Split, TrainView};
 
 use super::background_labels::moving_tracks;
+use super::beams::Beams;
 use super::content::LogBlobs;
 use super::frame::{FrameError, FrameLoader, LoadedFrame};
 use super::held_out::split_frames;
@@ -56,6 +57,7 @@ pub fn background_set<B: LogBlobs>(
         ..Default::default()
     };
     let mut seeds = HashSet::new();
+    let mut beams = Beams::new(log, &splits);
     for (done, &index) in order.iter().enumerate() {
         if !progress(done, order.len()) {
             return Ok(None);
@@ -66,6 +68,8 @@ pub fn background_set<B: LogBlobs>(
         let depths = static_depths(&loaded, &moving, &labels);
         if split == Split::Train {
             add_seeds(log, &depths.seeds, &mut seeds, &mut input.lidar_points);
+            let view = input.views.len() as u32;
+            beams.add(log, loader.sweeps(), view, &mut input.beams);
         }
         let view = background_view(log, &loaded, &labels, &depths.returns, longer_side_px);
         input.views.push(TrainView { split, ..view });

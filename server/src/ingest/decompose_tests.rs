@@ -263,6 +263,29 @@ fn depth_is_metric_and_nothing_hidden_is_kept() {
 }
 
 #[test]
+fn beams_come_from_every_sweep_but_those_of_held_out_frames() {
+    let (log, blobs) = street(true);
+    let set = background_set(&log, &blobs, &LogLabels::default(), 8, 800, |_, _| true);
+    let input = set.unwrap().unwrap().input;
+    let per_sweep = blobs.0[&log.sweeps[0].points.digest].len() / 16;
+    let mut by_view = vec![0; input.views.len()];
+    for beam in &input.beams {
+        let view = &input.views[beam.view as usize];
+        let lidar = DVec3::new(0.3 * f64::from(view.frame_index), 0.0, 1.7);
+        assert!(DVec3::from(beam.origin_m.map(f64::from)).distance(lidar) < 1e-5);
+        let range_m = DVec3::from(beam.return_m.map(f64::from)).distance(lidar);
+        assert!(range_m >= 3.0, "{range_m}");
+        by_view[beam.view as usize] += 1;
+    }
+    for (count, view) in by_view.into_iter().zip(&input.views) {
+        match view.split {
+            Split::Train => assert_eq!(count, per_sweep, "frame {}", view.frame_index),
+            Split::HeldOut => assert_eq!(count, 0, "frame {}", view.frame_index),
+        }
+    }
+}
+
+#[test]
 fn usable_tracks_are_planned_and_the_hidden_one_is_rejected_by_reason() {
     let (log, _) = street(true);
     let plans = plan_objects(&log);

@@ -20,7 +20,7 @@ use crate::domain::drive_log::{CameraFrame, DriveLog};
 use crate::error::ErrorKind;
 
 /// Sweeps farther in time than this say nothing about a frame: 10 Hz scanners are at most half of it away.
-const SWEEP_TOLERANCE_NS: u64 = 120_000_000;
+pub(crate) const SWEEP_TOLERANCE_NS: u64 = 120_000_000;
 
 /// Why a frame of a validated log cannot be loaded.
 #[derive(Debug, thiserror::Error)]
@@ -149,6 +149,11 @@ impl<'a, B: LogBlobs> FrameLoader<'a, B> {
             sky,
             returns,
         })
+    }
+
+    /// The sweeps that the last frame was loaded with: index in the log, and the returns.
+    pub(crate) fn sweeps(&self) -> &[(usize, Vec<WorldReturn>)] {
+        &self.sweeps
     }
 
     fn instance(

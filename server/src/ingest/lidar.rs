@@ -16,6 +16,8 @@ const SWEEP_MOTION_M: f64 = 4.0;
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct WorldReturn {
     pub world_m: DVec3,
+    /// Where the sensor was then.
+    pub origin_m: DVec3,
     /// The track whose cuboid holds it.
     pub owner: Option<Owner>,
 }
@@ -36,9 +38,13 @@ pub(crate) fn place_sweep(log: &DriveLog, sweep: &LidarSweep, bytes: &[u8]) -> V
     decode_points(bytes, sweep.format)
         .filter_map(|point| {
             let timestamp_ns = sweep.timestamp_ns.checked_add(point.delay_ns)?;
-            let world_m = ego.place(&point, timestamp_ns)?;
+            let (world_m, origin_m) = ego.place(&point, timestamp_ns)?;
             let owner = tracks.owner_of(world_m, timestamp_ns);
-            Some(WorldReturn { world_m, owner })
+            Some(WorldReturn {
+                world_m,
+                origin_m,
+                owner,
+            })
         })
         .collect()
 }
@@ -115,7 +121,8 @@ impl<'a> EgoAt<'a> {
         }
     }
 
-    fn place(&mut self, point: &SweepPoint, timestamp_ns: i64) -> Option<DVec3> {
+    /// The point and the sensor in the world.
+    fn place(&mut self, point: &SweepPoint, timestamp_ns: i64) -> Option<(DVec3, DVec3)> {
         let world_from_lidar = match self.last {
             Some((time, pose)) if time == timestamp_ns => pose,
             _ => {
@@ -124,7 +131,8 @@ impl<'a> EgoAt<'a> {
                 pose
             }
         };
-        Some(world_from_lidar.point(point.position_m.as_dvec3()))
+        let world_m = world_from_lidar.point(point.position_m.as_dvec3());
+        Some((world_m, world_from_lidar.translation_m))
     }
 }
 

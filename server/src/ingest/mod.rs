@@ -25,6 +25,7 @@ mod frame;
 mod held_out;
 mod sky;
 
+mod beams;
 mod mask_consistency;
 mod mask_match;
 mod mask_overlap;

@@ -182,6 +182,7 @@ mod tests {
             .into_iter()
             .map(|world_m| WorldReturn {
                 world_m,
+                origin_m: DVec3::ZERO,
                 owner: None,
             })
             .collect();
