@@ -267,7 +267,15 @@ fn beams_come_from_every_sweep_but_those_of_held_out_frames() {
     let (log, blobs) = street(true);
     let set = background_set(&log, &blobs, &LogLabels::default(), 8, 800, |_, _| true);
     let input = set.unwrap().unwrap().input;
-    let per_sweep = blobs.0[&log.sweeps[0].points.digest].len() / 16;
+    // Ground close before the sensor is within its blind zone.
+    let far_returns = |frame: u32| {
+        let points = blobs.0[&log.sweeps[frame as usize].points.digest].chunks_exact(16);
+        let ranges = points.map(|point| {
+            let axis = |i: usize| f32::from_le_bytes(point[4 * i..4 * i + 4].try_into().unwrap());
+            DVec3::new(axis(0).into(), axis(1).into(), axis(2).into()).length()
+        });
+        ranges.filter(|range_m| *range_m >= 3.0).count()
+    };
     let mut by_view = vec![0; input.views.len()];
     for beam in &input.beams {
         let view = &input.views[beam.view as usize];
@@ -279,8 +287,8 @@ fn beams_come_from_every_sweep_but_those_of_held_out_frames() {
     }
     for (count, view) in by_view.into_iter().zip(&input.views) {
         match view.split {
-            Split::Train => assert_eq!(count, per_sweep, "frame {}", view.frame_index),
-            Split::HeldOut => assert_eq!(count, 0, "frame {}", view.frame_index),
+            Split::Train => assert_eq!(count, far_returns(view.frame_index)),
+            Split::HeldOut => assert_eq!(count, 0),
         }
     }
 }
