@@ -30,6 +30,17 @@ pub enum DepthSource {
     SfmPoint,
 }
 
+impl DepthSource {
+    /// The part of a range by which it may be wrong, so that the rest is free; `None` if it proves nothing about the pixels around.
+    pub fn slack(self) -> Option<f32> {
+        match self {
+            Self::Lidar => Some(0.0),
+            Self::Map => Some(0.15),
+            Self::SfmPoint => None,
+        }
+    }
+}
+
 /// One LiDAR return, or what stands in for one, on its exact sub-pixel position in a view.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DepthReturn {

@@ -280,7 +280,9 @@ fn missing(log: &v1::DriveLog, report: &LogReport) -> Vec<String> {
             "{gaps} tracks have gaps of more than a second, where they are interpolated"
         ));
     }
-    if log.frames.iter().all(|f| f.instance_mask.is_none()) {
+    let has_masks =
+        |f: &v1::CameraFrame| f.instance_mask.is_some() || f.free_instance_mask.is_some();
+    if !log.frames.iter().any(has_masks) {
         missing.push("no instance masks: a segmenter or LiDAR hulls stand in for them".to_owned());
     }
     missing

@@ -2,10 +2,9 @@
 
 use std::collections::BTreeMap;
 
-use super::composition::{
-    Candidate, Composition, PlacedObject, Stage, compose_first, in_image, show_original,
-};
+use super::composition::{Candidate, Composition, PlacedObject, Stage, compose_first};
 use super::movement::ClipSpace;
+use super::originals::{in_image, show_original};
 use super::placement::beyond_coverage;
 use super::recipe::Recipe;
 use crate::Result;

@@ -25,6 +25,7 @@ mod composition;
 mod edit;
 mod histogram;
 mod movement;
+mod originals;
 mod placement;
 mod places;
 mod preset;
@@ -71,6 +72,8 @@ mod box_world;
 mod clip_tests;
 #[cfg(test)]
 mod composition_tests;
+#[cfg(test)]
+mod corner_case_tests;
 #[cfg(test)]
 mod finish_tests;
 #[cfg(test)]

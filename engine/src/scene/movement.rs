@@ -6,6 +6,7 @@ use super::acceptance::CLEARANCE_M;
 use super::collision::Occupied;
 use super::composition::{PlacedObject, Stage};
 use super::footprint::{Footprint, GroundPlane};
+use super::originals::pose_at;
 use super::placement::{FOOTPRINT_MARGIN_M, ego_box};
 use super::rejection::Rejection;
 use super::timeline::{Instant, instants, recorded_velocity};
@@ -269,7 +270,7 @@ impl<'a> ClipSpace<'a> {
         let tracks = self.stage.recording.tracks.iter().enumerate();
         let mut staying = tracks.filter(|(i, _)| Some(*i) != slot && !self.absent.contains(i));
         staying.any(|(_, track)| {
-            let pose = instant.pose(|frame| super::composition::pose_at(track, frame));
+            let pose = instant.pose(|frame| pose_at(track, frame));
             pose.is_some_and(|local_from_cuboid| {
                 let original = Occupied {
                     local_from_cuboid,

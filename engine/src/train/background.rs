@@ -13,7 +13,9 @@ use super::refine::{Urgency, field_bytes};
 use super::sampler::Sampler;
 use super::seed::{CELL_VOXELS, CellSet, seed_density, store_around_points};
 use super::survey::survey;
-use super::validate::{require_foreground, validate_points, validate_preset, validate_views};
+use super::validate::{
+    require_foreground, validate_beams, validate_points, validate_preset, validate_views,
+};
 use crate::backend::Backend;
 use crate::field::{ColorMlp, DensityActivation, Field, Lattice, Occupancy, SkyGrid, SkyMap};
 use crate::scene::Draws;
@@ -49,7 +51,7 @@ pub fn train_background(
     validate_views("background", &input.views)?;
     require_foreground("background", &input.views)?;
     validate_points("background", "lidar_points", &input.lidar_points)?;
-    validate_beams(input)?;
+    validate_beams("background", &input.beams, input.views.len())?;
     if input.ego_path.is_empty() || !input.ego_path.iter().all(|p| p.is_finite()) {
         return Err(Error::invalid(
             "background: ego_path must be finite and not empty",
@@ -75,21 +77,6 @@ pub fn train_background(
     Ok(measured(field, run, &input.views, None, control))
 }
 
-/// Every beam has a length, and a view.
-fn validate_beams(input: &BackgroundInput) -> Result<()> {
-    let wrong = input.beams.iter().position(|beam| {
-        let way = Vec3::from(beam.return_m) - Vec3::from(beam.origin_m);
-        let length = way.length();
-        !(length.is_finite() && length > 0.0) || beam.view as usize >= input.views.len()
-    });
-    match wrong {
-        Some(number) => Err(Error::invalid(format!(
-            "background: beams[{number}] must have finite, different ends and the index of a view"
-        ))),
-        None => Ok(()),
-    }
-}
-
 fn prepare(
     input: &BackgroundInput,
     preset: &TrainPreset,
@@ -107,17 +94,16 @@ fn prepare(
     let free = FreeSpace::new(&input.views);
     let possible = possible_cubes(&free, low, high);
     // The coarsest level wherever something may be, so that it can be found in few samples; finer ones at returns.
+    let coarsest = &mut field.levels[0];
     for cube in &possible {
-        if let Some(level) = field.levels.first_mut() {
-            for corner in 0..8 {
-                let step = Vec3::new(
-                    (corner & 1) as f32,
-                    (corner >> 1 & 1) as f32,
-                    (corner >> 2) as f32,
-                );
-                if let Some(at) = level.brick_at(*cube + step * (CUBE_M + level.voxel_m())) {
-                    level.allocate(at);
-                }
+        for corner in 0..8 {
+            let step = Vec3::new(
+                (corner & 1) as f32,
+                (corner >> 1 & 1) as f32,
+                (corner >> 2) as f32,
+            );
+            if let Some(at) = coarsest.brick_at(*cube + step * (CUBE_M + coarsest.voxel_m())) {
+                coarsest.allocate(at);
             }
         }
     }

@@ -3,16 +3,13 @@
 use glam::{DVec3, Vec3};
 
 use crate::camera::{Camera, Rigid};
-use crate::view::{DepthSource, PixelLabel, Split, TrainView};
+use crate::view::{PixelLabel, Split, TrainView};
 
 /// Edge of an image tile in pixels.
 const TILE: u32 = 8;
 
 /// Cubes this much farther than every return around them are hidden in a view, in metres: returns are sparse.
 const HIDDEN_MARGIN_M: f64 = 2.0;
-
-/// A depth map may be wrong by this part of its range: it proves no more than the rest.
-const MAP_SLACK: f32 = 0.15;
 
 /// What a view proves about the directions of each image tile: free up to a range, and hidden beyond one.
 #[derive(Debug)]
@@ -125,10 +122,8 @@ fn free_tiles(view: &TrainView) -> FreeTiles {
     for depth in &view.depth {
         let [x, y] = depth.pixel.map(|c| c as u32 / TILE);
         if x < columns && y < rows {
-            let slack = match depth.source {
-                DepthSource::Lidar => 0.0,
-                DepthSource::Map => MAP_SLACK,
-                DepthSource::SfmPoint => continue,
+            let Some(slack) = depth.source.slack() else {
+                continue;
             };
             let tile = (y * columns + x) as usize;
             farthest_m[tile] = farthest_m[tile].max(depth.range_m * (1.0 + slack));
@@ -158,7 +153,7 @@ mod tests {
 
     use super::*;
     use crate::camera::Distortion;
-    use crate::view::DepthReturn;
+    use crate::view::{DepthReturn, DepthSource};
 
     const WALL_M: f32 = 20.0;
 

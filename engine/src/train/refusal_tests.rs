@@ -9,6 +9,12 @@ use crate::backend::cpu::CpuBackend;
 use crate::camera::Distortion;
 use crate::view::{PixelLabel, Split};
 
+const BEAM: LidarBeam = LidarBeam {
+    origin_m: [0.0, 0.0, 1.8],
+    return_m: [9.0, 0.0, 0.0],
+    view: 0,
+};
+
 fn refusal_of(break_it: impl FnOnce(&mut BackgroundInput)) -> String {
     let mut input = drive();
     break_it(&mut input);
@@ -22,7 +28,7 @@ fn refusal_of(break_it: impl FnOnce(&mut BackgroundInput)) -> String {
 #[test]
 fn bad_input_is_refused_by_frame_and_field_before_any_step() {
     type Case = (&'static str, &'static str, fn(&mut BackgroundInput));
-    let cases: [Case; 15] = [
+    let cases: [Case; 17] = [
         ("frame 3", "local_from_camera", |i| {
             i.views[3].local_from_camera.translation_m.x = f64::NAN
         }),
@@ -55,6 +61,13 @@ fn bad_input_is_refused_by_frame_and_field_before_any_step() {
         ("frame 1", "depth 0", |i| i.views[1].depth[0].range_m = -1.0),
         ("frame 1", "has weight NaN", |i| {
             i.views[1].depth[0].weight = f32::NAN
+        }),
+        ("beams[1]", "different ends", |i| {
+            i.beams = vec![BEAM; 2];
+            i.beams[1].return_m = BEAM.origin_m;
+        }),
+        ("beams[0]", "index of a view", |i| {
+            i.beams = vec![LidarBeam { view: 10, ..BEAM }];
         }),
         ("lidar_points[2]", "not finite", |i| {
             i.lidar_points[2][1] = f32::INFINITY

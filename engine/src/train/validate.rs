@@ -2,7 +2,7 @@
 
 use glam::{DVec2, DVec3, Vec3};
 
-use super::input::BoundedInput;
+use super::input::{BoundedInput, LidarBeam};
 use super::preset::TrainPreset;
 use super::refine::BRICK_BYTES;
 use crate::camera::Camera;
@@ -139,6 +139,21 @@ pub(super) fn validate_points(kind: &str, field: &str, points: &[[f32; 3]]) -> R
             ))),
             None => Ok(()),
         },
+    }
+}
+
+/// Every beam has a length, and one of `view_count` views.
+pub(super) fn validate_beams(kind: &str, beams: &[LidarBeam], view_count: usize) -> Result<()> {
+    let wrong = beams.iter().position(|beam| {
+        let way = Vec3::from(beam.return_m) - Vec3::from(beam.origin_m);
+        let length = way.length();
+        !(length.is_finite() && length > 0.0) || beam.view as usize >= view_count
+    });
+    match wrong {
+        Some(number) => Err(Error::invalid(format!(
+            "{kind}: beams[{number}] must have finite, different ends and the index of a view"
+        ))),
+        None => Ok(()),
     }
 }
 

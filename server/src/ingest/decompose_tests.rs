@@ -11,13 +11,12 @@ use backlot_engine::view::{PixelLabel, Split, TrainView};
 use bytes::Bytes;
 use glam::{DQuat, DVec2, DVec3};
 
-use super::decomposition::{Decomposition, ObjectPixels, encode_labels};
 use super::hull::{cuboid_hull, raster};
 use super::movers::camera_from_cuboid;
 use super::object_plan::Rejection;
 use super::{
-    LogBlobs, LogLabels, LogMasks, MaskMatching, MatchedMasks, StoredLabels, Subject,
-    background_set, decompose, match_masks, object_set, plan_objects, recording,
+    LogBlobs, LogLabels, LogMasks, MaskMatching, MatchedMasks, background_set, match_masks,
+    object_set, plan_objects, recording,
 };
 use crate::domain::blob::{BlobRef, Digest};
 use crate::domain::drive_log::{
@@ -47,7 +46,7 @@ impl LogBlobs for Blobs {
 }
 
 impl Blobs {
-    fn add(&mut self, content: Vec<u8>) -> BlobRef {
+    pub(super) fn add(&mut self, content: Vec<u8>) -> BlobRef {
         let blob = BlobRef::of(&content);
         self.0.insert(blob.digest, content.into());
         blob
@@ -390,7 +389,7 @@ fn stopping_and_the_recording() {
 }
 
 /// Replaces the masks of a street by ones that name no track: values that change from frame to frame.
-fn untie(log: &mut DriveLog, blobs: &mut Blobs) {
+pub(super) fn untie(log: &mut DriveLog, blobs: &mut Blobs) {
     for (i, frame) in log.frames.iter_mut().enumerate() {
         let tied = blobs.0[&frame.instance_mask.take().unwrap().digest].clone();
         let tied = ::image::load_from_memory(&tied).unwrap().into_luma16();
@@ -403,7 +402,7 @@ fn untie(log: &mut DriveLog, blobs: &mut Blobs) {
     }
 }
 
-fn matched(log: &DriveLog, blobs: &Blobs) -> MatchedMasks {
+pub(super) fn matched(log: &DriveLog, blobs: &Blobs) -> MatchedMasks {
     let matching = MaskMatching::default();
     let masks = match_masks(log, &LogMasks(blobs), &matching, |_, _| true);
     masks.unwrap().unwrap()
@@ -431,101 +430,4 @@ fn matched_masks_label_like_masks_that_name_their_tracks() {
     let plan = plans.iter().find(|p| p.track == PARKED).unwrap();
     let none = object_set(&free_log, &free_blobs, &unmatched, plan, 8, |_, _| true);
     assert_eq!(none.unwrap().unwrap().usable_frames, 0);
-}
-
-/// A decomposition of the street with its label images among the blobs.
-fn decomposed(log: &DriveLog, blobs: &mut Blobs) -> Decomposition {
-    let masks = matched(log, blobs);
-    let subject = Subject {
-        log,
-        masks: &masks,
-        plans: &plan_objects(log),
-        inputs: Digest::of(b"inputs"),
-    };
-    let mut written = Vec::new();
-    let write = |content: &[u8]| {
-        written.push(content.to_vec());
-        Ok(BlobRef::of(content))
-    };
-    let made = decompose(&subject, blobs, write, |_, _| true).unwrap();
-    written.into_iter().for_each(|content| {
-        blobs.add(content);
-    });
-    made.unwrap()
-}
-
-fn same_views(a: &[TrainView], b: &[TrainView]) -> bool {
-    let same = |(a, b): (&TrainView, &TrainView)| {
-        a.frame_index == b.frame_index
-            && a.labels == b.labels
-            && a.rgb == b.rgb
-            && a.depth == b.depth
-            && a.split == b.split
-    };
-    a.len() == b.len() && a.iter().zip(b).all(same)
-}
-
-#[test]
-fn a_stored_decomposition_gives_the_same_training_sets() {
-    for (with_masks, free) in [(true, false), (false, false), (true, true)] {
-        let (mut log, mut blobs) = street(with_masks);
-        if free {
-            untie(&mut log, &mut blobs);
-        }
-        let made = LogLabels::Made(matched(&log, &blobs));
-        let decomposition = decomposed(&log, &mut blobs);
-        let stored = LogLabels::Stored(StoredLabels::new(&decomposition));
-        let background = |labels: &LogLabels, blobs: &Blobs| {
-            let set = background_set(&log, blobs, labels, 8, 800, |_, _| true);
-            set.unwrap().unwrap().input
-        };
-        let (first, second) = (background(&made, &blobs), background(&stored, &blobs));
-        assert!(same_views(&first.views, &second.views));
-        assert_eq!(first.lidar_points, second.lidar_points);
-        for plan in plan_objects(&log) {
-            let set = |labels: &LogLabels| {
-                let set = object_set(&log, &blobs, labels, &plan, 8, |_, _| true);
-                set.unwrap().unwrap()
-            };
-            let (first, second) = (set(&made), set(&stored));
-            assert_eq!(first.rejected, second.rejected);
-            assert!(same_views(&first.input.views, &second.input.views));
-            assert_eq!(first.input.lidar_points, second.input.lidar_points);
-        }
-        // Another label image makes another training set.
-        let mut broken = decomposition.clone();
-        let other = encode_labels(&[PixelLabel::Unknown; 320 * 160], (320, 160));
-        broken.background[5].labels = blobs.add(other);
-        let broken = LogLabels::Stored(StoredLabels::new(&broken));
-        assert!(!same_views(
-            &first.views,
-            &background(&broken, &blobs).views
-        ));
-    }
-}
-
-#[test]
-fn a_decomposition_without_a_frame_or_an_image_is_an_error_that_names_it() {
-    let (log, mut blobs) = street(true);
-    let whole = decomposed(&log, &mut blobs);
-    let fails = |decomposition: &Decomposition, blobs: &Blobs| {
-        let labels = LogLabels::Stored(StoredLabels::new(decomposition));
-        let set = background_set(&log, blobs, &labels, 8, 800, |_, _| true);
-        set.err().map(|error| error.to_string())
-    };
-    assert_eq!(fails(&whole, &blobs), None);
-    let mut lacking = whole.clone();
-    lacking.background.remove(3);
-    let error = fails(&lacking, &blobs).expect("frame 3 is missing");
-    assert!(error.contains("frame 3"), "{error}");
-    let mut other = whole.clone();
-    other.background[3].labels = log.frames[3].image;
-    let error = fails(&other, &blobs).expect("a photograph is no label image");
-    assert!(error.contains("frame 3: label image"), "{error}");
-    let kept = |frames: &[super::decomposition::ObjectFrame]| {
-        let is_kept =
-            |f: &&super::decomposition::ObjectFrame| matches!(f.found, ObjectPixels::Kept { .. });
-        frames.iter().filter(is_kept).count()
-    };
-    assert!(whole.objects.iter().any(|track| kept(&track.frames) >= 8));
 }

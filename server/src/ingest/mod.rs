@@ -44,6 +44,8 @@ mod log_labels;
 
 #[cfg(test)]
 mod decompose_tests;
+#[cfg(test)]
+mod stored_labels_tests;
 
 pub(crate) use background::recording;
 pub use background::{BackgroundSet, background_set};

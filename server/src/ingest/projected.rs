@@ -24,16 +24,11 @@ pub(crate) struct ProjectedReturn {
     pub weight: f32,
 }
 
-/// Maps may be wrong by this part of the range.
-const MAP_ERROR: f64 = 0.15;
-
 impl ProjectedReturn {
     /// The least distance that it proves.
     pub(crate) fn proven_m(&self) -> f64 {
-        match self.source {
-            DepthSource::Lidar | DepthSource::SfmPoint => self.range_m,
-            DepthSource::Map => self.range_m * (1.0 - MAP_ERROR),
-        }
+        let slack = self.source.slack().unwrap_or(0.0);
+        self.range_m * (1.0 - f64::from(slack))
     }
 }
 
