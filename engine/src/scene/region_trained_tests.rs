@@ -9,7 +9,7 @@ use super::region_tests::{config, draw, expected, street};
 use super::valid_region::{Cell, ValidRegion};
 use crate::backend::cpu::CpuBackend;
 use crate::camera::Camera;
-use crate::train::{BackgroundInput, Budget, NoControl, TrainPreset, train_background};
+use crate::train::{BackgroundInput, Budget, LidarBeam, NoControl, TrainPreset, train_background};
 use crate::view::{DepthReturn, PixelLabel, Split, TrainView};
 
 const SLOPE: f64 = 0.05;
@@ -49,10 +49,30 @@ fn input(world: &BoxWorld, recording: &Recording) -> BackgroundInput {
         for at in 0..WIDTH * HEIGHT {
             shoot(world, &camera, eye, at, &mut view, &mut input.lidar_points);
         }
+        let number = input.views.len() as u32;
+        input.beams.extend(turn(world, eye, number));
         input.ego_path.push(eye);
         input.views.push(view);
     }
     input
+}
+
+/// A whole turn of a scanner at the camera.
+fn turn(world: &BoxWorld, eye: DVec3, view: u32) -> impl Iterator<Item = LidarBeam> {
+    let directions = (0..360).flat_map(|azimuth_deg| {
+        (-12..6).map(move |step| (f64::from(azimuth_deg), 2.0 * f64::from(step)))
+    });
+    directions.filter_map(move |(azimuth_deg, elevation_deg)| {
+        let (azimuth, elevation) = (azimuth_deg.to_radians(), elevation_deg.to_radians());
+        let flat = DVec2::from_angle(azimuth) * elevation.cos();
+        let direction = flat.extend(elevation.sin());
+        let range_m = world.trace(eye, direction, LIDAR_RANGE_M)?;
+        Some(LidarBeam {
+            origin_m: eye.as_vec3().to_array(),
+            return_m: (eye + direction * range_m).as_vec3().to_array(),
+            view,
+        })
+    })
 }
 
 fn shoot(
@@ -144,19 +164,17 @@ fn a_trained_street_frees_nothing_more_than_a_cell_away_from_the_expected_map() 
         missed.len()
     );
     assert!(
-        freed.is_empty() && missed.len() * 50 < free,
+        freed.is_empty() && missed.len() * 200 < free,
         "{} cells freed, {} missed\n{}\n{}",
         freed.len(),
         missed.len(),
         draw(&region, &region.cells),
         draw(&region, &expected)
     );
-    let off_m = |cell: usize| region.ground_m[cell] - world.ground(region.centre(cell).x);
-    let uneven = region.free_cells().filter(|cell| off_m(*cell).abs() > 0.1);
-    let worst_m = region.free_cells().map(|cell| off_m(cell).abs());
-    let (uneven, worst_m) = (uneven.count(), worst_m.fold(0.0, f64::max));
-    println!("ground is over 0.1 m off in {uneven} free cells, at most {worst_m} m");
-    assert!(uneven * 500 < free && worst_m < 0.15, "{uneven}, {worst_m}");
+    for cell in region.free_cells() {
+        let off = region.ground_m[cell] - world.ground(region.centre(cell).x);
+        assert!(off.abs() < 0.1, "ground {off} m off");
+    }
 }
 
 /// The comparison must notice a map that is moved by more than a cell.
