@@ -13,6 +13,7 @@ pub mod waymo;
 
 pub mod depth_maps;
 pub mod log_format;
+pub mod sfm_points;
 
 pub mod geometry;
 pub mod motion;

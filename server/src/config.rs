@@ -9,6 +9,7 @@ use serde::Deserialize;
 
 use crate::error::{ErrorKind, Kinded};
 use crate::ingest::MaskMatching;
+use crate::segment::{RawSegmenter, SegmenterSettings};
 
 /// Free space under which uploads are refused: an asset being published still fits.
 const LOW_WATER_BYTES: u64 = 64 << 20;
@@ -41,6 +42,8 @@ pub struct Config {
     pub gpu_memory_bytes: u64,
     /// When an instance mask that is not tied to a track is taken for a track's.
     pub mask_matching: MaskMatching,
+    /// What finds masks where a log brings none; `None` leaves it to LiDAR returns.
+    pub segmenter: Option<SegmenterSettings>,
     pub drain_grace: Duration,
     /// Uploads are refused while less than this is free on the data directory's file system.
     pub low_water_bytes: u64,
@@ -59,6 +62,7 @@ impl Config {
             device: DeviceChoice::default(),
             gpu_memory_bytes: GPU_MEMORY_BYTES,
             mask_matching: MaskMatching::default(),
+            segmenter: None,
             drain_grace: DRAIN_GRACE,
             low_water_bytes: LOW_WATER_BYTES,
             ballast_bytes: BALLAST_BYTES,
@@ -78,6 +82,7 @@ pub struct RawConfig {
     pub gpu_memory_mib: Option<u64>,
     pub mask_iou: Option<f64>,
     pub mask_follow_iou: Option<f64>,
+    pub segmenter: Option<RawSegmenter>,
     pub drain_grace_s: Option<u64>,
     pub low_water_mib: Option<u64>,
     pub ballast_mib: Option<u64>,
@@ -107,6 +112,7 @@ impl RawConfig {
             gpu_memory_mib: self.gpu_memory_mib.or(base.gpu_memory_mib),
             mask_iou: self.mask_iou.or(base.mask_iou),
             mask_follow_iou: self.mask_follow_iou.or(base.mask_follow_iou),
+            segmenter: self.segmenter.or(base.segmenter),
             drain_grace_s: self.drain_grace_s.or(base.drain_grace_s),
             low_water_mib: self.low_water_mib.or(base.low_water_mib),
             ballast_mib: self.ballast_mib.or(base.ballast_mib),
@@ -131,6 +137,7 @@ impl RawConfig {
             device: device(self.device)?,
             gpu_memory_bytes: mib(self.gpu_memory_mib, defaults.gpu_memory_bytes),
             mask_matching: mask_matching(self.mask_iou, self.mask_follow_iou)?,
+            segmenter: segmenter(self.segmenter)?,
             drain_grace: self
                 .drain_grace_s
                 .map_or(defaults.drain_grace, Duration::from_secs),
@@ -148,6 +155,11 @@ fn mask_matching(iou: Option<f64>, follow_iou: Option<f64>) -> Result<MaskMatchi
         least_follow_iou: overlap("mask_follow_iou", follow_iou, defaults.least_follow_iou)?,
         ..defaults
     })
+}
+
+fn segmenter(written: Option<RawSegmenter>) -> Result<Option<SegmenterSettings>, Error> {
+    let checked = written.map(RawSegmenter::check).transpose();
+    checked.map_err(|(key, why)| Error::Value { key, why })
 }
 
 /// An intersection over union that can be demanded. Below 0.05 anything would do.

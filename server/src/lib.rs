@@ -12,6 +12,8 @@ pub mod domain;
 
 pub mod store;
 
+pub mod segment;
+
 pub mod ingest;
 
 pub mod jobs;

@@ -15,7 +15,9 @@ use crate::api;
 use crate::config::Config;
 use crate::domain::clock::{Clock, SystemClock, UuidSource};
 use crate::error::{ErrorKind, Kinded};
+use crate::jobs::execute::Masking;
 use crate::jobs::{self, Execute, LocalPort, Queue, Workers};
+use crate::segment::{self, Segmenter};
 use crate::store::{self, Store, StoreConfig};
 
 /// Services whose health is reported, besides "" for the whole.
@@ -46,6 +48,8 @@ pub enum Error {
         device: DeviceChoice,
         source: backlot_engine::Error,
     },
+    #[error(transparent)]
+    Segmenter(#[from] segment::OpenError),
     #[error("start worker threads: {0}")]
     Workers(std::io::Error),
     #[error("serve: {0}")]
@@ -58,6 +62,7 @@ impl Kinded for Error {
             Self::Store(e) => e.kind(),
             Self::Jobs(e) => e.kind(),
             Self::Device { source, .. } => source.kind(),
+            Self::Segmenter(e) => e.kind(),
             Self::Listen { .. } | Self::Workers(_) => ErrorKind::Unavailable,
             Self::Serve(_) => ErrorKind::Internal,
         }
@@ -71,7 +76,14 @@ pub struct Server;
 impl Server {
     /// Opens the data directory, recovers what a crash left, and serves. Returns once calls are answered.
     pub async fn start(config: Config) -> Result<RunningServer, Error> {
-        let execute = jobs::execute::executor(config.mask_matching);
+        let segmenter = {
+            let config = config.clone();
+            on_blocking_thread(move || open_segmenter(&config)).await?
+        };
+        let execute = jobs::execute::executor(Masking {
+            matching: config.mask_matching,
+            segmenter,
+        });
         Self::start_with(config, execute).await
     }
 
@@ -208,6 +220,13 @@ fn open_device(config: &Config) -> Result<Arc<dyn Backend>, Error> {
         "computing"
     );
     Ok(opened)
+}
+
+/// Before the data directory, as the device.
+fn open_segmenter(config: &Config) -> Result<Option<Arc<dyn Segmenter>>, Error> {
+    let settings = config.segmenter.as_ref();
+    let opened = settings.map(|settings| segment::open(settings, config.threads));
+    Ok(opened.transpose()?)
 }
 
 /// The engine's threads are those of the process; the first server that starts in it decides.

@@ -6,6 +6,9 @@ mod report;
 
 mod overlay;
 
+mod masks;
+
 pub use depth::DepthReport;
+pub use masks::MaskPictures;
 pub use overlay::{overlay, overlay_frames};
 pub use report::{CameraReport, LidarReport, LogReport, TrackReport};

@@ -1,4 +1,4 @@
-//! Damaged data sets: every reader answers with a log or with one line that names a path; it never panics and stays small.
+//! Damaged data sets, and damaged files of points beside them: every reader answers with a log or with one line that names a path; it never panics and stays small.
 //!
 //! `BACKLOT_FUZZ_S` gives each reader that many seconds; without it each gets a fixed number of damages.
 
@@ -8,10 +8,12 @@ use std::time::{Duration, Instant};
 
 use backlot_client::inspect::LogReport;
 use backlot_client::log_format::{LogFormat, LogInputs};
+use backlot_client::read_log::Error;
+use backlot_client::sfm_points::{SfmPointInputs, add_sfm_points};
 use tempfile::TempDir;
 
 use crate::street::street;
-use crate::{argoverse_files, kitti_files, nuscenes_files, waymo_files};
+use crate::{argoverse_files, kitti_files, nuscenes_files, sfm_files, waymo_files};
 
 /// Damages of an ordinary test run.
 const DAMAGES: u64 = 60;
@@ -85,6 +87,22 @@ fn kitti_tracking() {
     );
 }
 
+#[test]
+fn sfm_points() {
+    let folder = TempDir::new().expect("a temporary folder");
+    let files = sfm_files::write(&street(), folder.path());
+    fuzz_files("sfm-points", folder.path(), || {
+        for file in &files {
+            let inputs = SfmPointInputs {
+                file: file.clone(),
+                unit_m: 1.0,
+            };
+            add_sfm_points(&mut street(), &inputs)?;
+        }
+        Ok(())
+    });
+}
+
 fn fuzz(format: LogFormat, write: impl Fn(&Path), log: &str) {
     let folder = TempDir::new().expect("a temporary folder");
     write(folder.path());
@@ -92,8 +110,18 @@ fn fuzz(format: LogFormat, write: impl Fn(&Path), log: &str) {
         path: folder.path().join(log),
         ..LogInputs::default()
     };
-    format.read(&inputs).expect("the log is sound");
-    let files = files_below(folder.path());
+    let read = || {
+        let log = format.read(&inputs)?;
+        LogReport::new(&log.drive_log);
+        Ok(())
+    };
+    fuzz_files(&format.to_string(), folder.path(), read);
+}
+
+/// Damages the files below `folder`, of which `read` makes sense when they are sound.
+fn fuzz_files(name: &str, folder: &Path, read: impl Fn() -> Result<(), Error>) {
+    read().expect("the files are sound");
+    let files = files_below(folder);
     let seconds = std::env::var("BACKLOT_FUZZ_S").ok();
     let budget =
         seconds.map(|s| Duration::from_secs(s.parse().expect("BACKLOT_FUZZ_S is a number")));
@@ -110,15 +138,11 @@ fn fuzz(format: LogFormat, write: impl Fn(&Path), log: &str) {
         let sound = fs::read(path).expect("the file is readable");
         let damaged = damage(&sound, &mut random);
         fs::write(path, &damaged).expect("the file is writable");
-        refused += u64::from(!reads_or_explains(
-            format,
-            &inputs,
-            folder.path(),
-            &format!("damage {damages} of {}", path.display()),
-        ));
+        let what = format!("damage {damages} of {}", path.display());
+        refused += u64::from(!reads_or_explains(&read, folder, &what));
         fs::write(path, &sound).expect("the file is writable");
     }
-    println!("{format}: {refused} of {damages} damaged data sets refused");
+    println!("{name}: {refused} of {damages} damaged data sets refused");
     assert!(refused > 0, "damage is never seen");
     check_memory();
 }
@@ -126,12 +150,9 @@ fn fuzz(format: LogFormat, write: impl Fn(&Path), log: &str) {
 /// False if the log was refused. A panic of the reader fails the test by itself.
 ///
 /// `folder` holds the data set whole: a drive's calibration lies beside the drive.
-fn reads_or_explains(format: LogFormat, inputs: &LogInputs, folder: &Path, what: &str) -> bool {
-    match format.read(inputs) {
-        Ok(log) => {
-            LogReport::new(&log.drive_log);
-            true
-        }
+fn reads_or_explains(read: &impl Fn() -> Result<(), Error>, folder: &Path, what: &str) -> bool {
+    match read() {
+        Ok(()) => true,
         Err(error) => {
             let text = error.to_string();
             let is_one_line = text.lines().count() == 1 && text.len() < 2000;

@@ -20,6 +20,8 @@ mod kitti_files;
 
 mod kitti;
 
+mod sfm_files;
+
 mod fuzz;
 
 mod export;

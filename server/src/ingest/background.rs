@@ -1,6 +1,6 @@
 //! The training set of a log's background.
 
-use std::collections::HashSet;
+use std::collections::{HashMap, HashSet};
 
 use backlot_engine::scene::{RecordedCamera, RecordedFrame, RecordedTrack, Recording};
 use backlot_engine::train::BackgroundInput;
@@ -14,7 +14,8 @@ use super::held_out::split_frames;
 use super::log_labels::LogLabels;
 use super::projected::ProjectedReturn;
 use super::raster::{area_average, merge_area};
-use crate::domain::drive_log::DriveLog;
+use super::tied_masks::TiedMask;
+use crate::domain::drive_log::{CameraFrame, DriveLog};
 
 /// Samples of a depth map that a view keeps: a few times a scanner's returns, so that a log of maps fits in memory.
 const MOST_MAP_SAMPLES: usize = 8_000;
@@ -88,9 +89,19 @@ pub(crate) fn trained_size(size: (u32, u32), longer_side_px: u32) -> (u32, u32) 
     (size.0.div_ceil(divisor), size.1.div_ceil(divisor))
 }
 
-/// What the background remembers of the log, in the local frame, for composition.
-pub(crate) fn recording(log: &DriveLog) -> Recording {
+/// What the background remembers of the log, in the local frame, for composition. Frames whose log has no mask that names its tracks
+/// get the one of `tied`, if there is one.
+pub(crate) fn recording(log: &DriveLog, tied: &[TiedMask]) -> Recording {
     let order = time_order(log);
+    let tied: HashMap<(&str, u32), &TiedMask> = tied
+        .iter()
+        .map(|mask| ((mask.camera_id.as_str(), mask.frame_index), mask))
+        .collect();
+    let mask = |frame: &CameraFrame| {
+        let tied = tied.get(&(frame.camera_id.as_str(), frame.frame_index));
+        let mask = frame.instance_mask.or_else(|| tied.map(|tied| tied.mask));
+        mask.map(|blob| blob.digest.to_string())
+    };
     let frames: Vec<(RecordedFrame, i64)> = order
         .iter()
         .filter_map(|&i| {
@@ -103,7 +114,7 @@ pub(crate) fn recording(log: &DriveLog) -> Recording {
                 local_from_camera: log.local_from_world * log.world_from_camera(frame)?,
                 local_from_ego: log.local_from_world * world_from_ego,
                 image: Some(frame.image.digest.to_string()),
-                instance_mask: frame.instance_mask.as_ref().map(|b| b.digest.to_string()),
+                instance_mask: mask(frame),
             };
             Some((recorded, frame.timestamp_ns))
         })

@@ -5,19 +5,23 @@ use super::background_labels::{background_labels, moving_tracks};
 use super::content::LogBlobs;
 use super::decomposition::{
     DECOMPOSITION_VERSION, Decomposition, LabelledFrame, LabelledTrack, ObjectFrame, ObjectPixels,
-    encode_labels,
+    StoredSegmentation, encode_labels,
 };
 use super::frame::{FrameError, FrameLoader, LoadedFrame};
 use super::matched_masks::MatchedMasks;
 use super::object::{labelled_object, view_frames};
 use super::object_plan::TrackPlan;
+use super::segmented::Segmentation;
+use super::tied_masks::tie_masks;
 use crate::domain::blob::{BlobRef, Digest};
 use crate::domain::drive_log::DriveLog;
 
 /// What is decomposed.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Subject<'a> {
+    /// With the masks of the segmentation.
     pub log: &'a DriveLog,
+    pub segmentation: Option<&'a Segmentation>,
     pub masks: &'a MatchedMasks,
     /// Tracks with enough frames.
     pub plans: &'a [TrackPlan],
@@ -42,7 +46,7 @@ pub(crate) fn decompose<B: LogBlobs>(
     let order = time_order(log);
     let mut loader = FrameLoader::new(log, blobs, Some(masks));
     for (done, &index) in order.iter().enumerate() {
-        if !progress(done, order.len()) {
+        if !progress(done, 2 * order.len()) {
             return Ok(None);
         }
         let tracks: Vec<usize> = (0..views.len())
@@ -67,7 +71,13 @@ pub(crate) fn decompose<B: LogBlobs>(
             made.objects[track].frames.push(frame);
         }
     }
-    Ok(Some(made))
+    let tied = tie_masks(log, blobs, masks, write, |done, count| {
+        progress(order.len() + done, order.len() + count)
+    })?;
+    Ok(tied.map(|tied| Decomposition {
+        tied_masks: tied,
+        ..made
+    }))
 }
 
 fn empty(subject: &Subject<'_>) -> Decomposition {
@@ -75,7 +85,9 @@ fn empty(subject: &Subject<'_>) -> Decomposition {
         version: DECOMPOSITION_VERSION,
         inputs: subject.inputs,
         drive_log: subject.log.id.to_string(),
+        segmentation: subject.segmentation.map(StoredSegmentation::of),
         free_masks: subject.masks.outcomes(),
+        tied_masks: Vec::new(),
         background: Vec::new(),
         objects: subject
             .plans

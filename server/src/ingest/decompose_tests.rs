@@ -52,6 +52,10 @@ impl Blobs {
         blob
     }
 
+    pub(super) fn content(&self, blob: &BlobRef) -> Bytes {
+        self.0[&blob.digest].clone()
+    }
+
     fn add_png(&mut self, image: impl Into<DynamicImage>) -> BlobRef {
         let mut bytes = Cursor::new(Vec::new());
         image.into().write_to(&mut bytes, ImageFormat::Png).unwrap();
@@ -381,7 +385,7 @@ fn stopping_and_the_recording() {
         .unwrap()
         .is_none()
     );
-    let recording = recording(&log);
+    let recording = recording(&log, &[]);
     recording.validate().unwrap();
     assert_eq!(recording.frames.len(), FRAMES);
     let moving: Vec<bool> = recording.tracks.iter().map(|t| t.moving).collect();

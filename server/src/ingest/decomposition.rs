@@ -14,10 +14,12 @@ use super::image::{ImageError, decode_sky_mask};
 use super::mask_match::MaskMatching;
 use super::object_labels::Crop;
 use super::object_plan::Rejection;
+use super::segmented::{Segmentation, SegmentedFrame};
+use super::tied_masks::TiedMask;
 use crate::domain::blob::{BlobRef, Digest};
 
 /// Version of the form, and of the rules by which labels are made: grows with either, so that what older servers decided is not reused.
-pub(crate) const DECOMPOSITION_VERSION: u32 = 1;
+pub(crate) const DECOMPOSITION_VERSION: u32 = 2;
 
 /// All that a decomposition depends on.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -26,6 +28,8 @@ pub(crate) struct DecompositionInputs {
     /// The log's manifest, which names every image, mask and sweep by digest.
     pub manifest: BlobRef,
     pub matching: MaskMatching,
+    /// Of the segmenter, where there is one and the log has frames without masks.
+    pub segmenter: Option<Digest>,
     /// Frames that show the whole object without which a track is not looked at.
     pub least_frames: u32,
 }
@@ -45,12 +49,37 @@ pub(crate) struct Decomposition {
     pub inputs: Digest,
     /// The log, `driveLogs/{id}`.
     pub drive_log: String,
+    /// What a segmenter found in frames without masks.
+    pub segmentation: Option<StoredSegmentation>,
     /// What became of masks that named no track: count per outcome.
     pub free_masks: BTreeMap<String, u32>,
+    /// The masks of frames in which the log names no tracks, tied to the tracks that they were matched to.
+    pub tied_masks: Vec<TiedMask>,
     /// The background's training set.
     pub background: Vec<LabelledFrame>,
     /// The training set of every track with enough frames.
     pub objects: Vec<LabelledTrack>,
+}
+
+/// What a segmenter found.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub(crate) struct StoredSegmentation {
+    /// The model's file name.
+    pub model: String,
+    /// Of the model and how it was used.
+    pub digest: Digest,
+    /// The frames that brought no masks.
+    pub frames: Vec<SegmentedFrame>,
+}
+
+impl StoredSegmentation {
+    pub(super) fn of(segmentation: &Segmentation) -> Self {
+        Self {
+            model: segmentation.name.clone(),
+            digest: segmentation.digest,
+            frames: segmentation.frames.values().cloned().collect(),
+        }
+    }
 }
 
 /// A frame of the background's training set.
@@ -166,6 +195,7 @@ mod tests {
             version: DECOMPOSITION_VERSION,
             manifest: BlobRef::of(b"log"),
             matching: MaskMatching::default(),
+            segmenter: None,
             least_frames: 8,
         }
     }
@@ -190,6 +220,10 @@ mod tests {
                 ..inputs()
             },
             DecompositionInputs {
+                segmenter: Some(Digest::of(b"model")),
+                ..inputs()
+            },
+            DecompositionInputs {
                 least_frames: 20,
                 ..inputs()
             },
@@ -205,7 +239,17 @@ mod tests {
             version: DECOMPOSITION_VERSION,
             inputs: inputs().digest(),
             drive_log: "driveLogs/street".into(),
+            segmentation: Some(StoredSegmentation {
+                model: "model.onnx".into(),
+                digest: Digest::of(b"model"),
+                frames: Vec::new(),
+            }),
             free_masks: BTreeMap::from([("matched".into(), 3)]),
+            tied_masks: vec![TiedMask {
+                camera_id: "front".into(),
+                frame_index: 2,
+                mask: BlobRef::of(b"mask"),
+            }],
             background: Vec::new(),
             objects: vec![LabelledTrack {
                 track_id: "7".into(),

@@ -17,7 +17,8 @@ use super::projected::{ProjectedReturn, project_returns};
 use super::sfm::SfmCloud;
 use crate::domain::blob::BlobRef;
 use crate::domain::drive_log::{CameraFrame, DriveLog};
-use crate::error::ErrorKind;
+use crate::error::{ErrorKind, Kinded};
+use crate::segment::SegmentError;
 
 /// Sweeps farther in time than this say nothing about a frame: 10 Hz scanners are at most half of it away.
 pub(crate) const SWEEP_TOLERANCE_NS: u64 = 120_000_000;
@@ -36,6 +37,12 @@ pub enum FrameError<E> {
         what: &'static str,
         source: ImageError,
     },
+    #[error("camera {camera_id}, frame {frame_index}: {source}")]
+    Segment {
+        camera_id: String,
+        frame_index: u32,
+        source: SegmentError,
+    },
     #[error("camera {camera_id}, frame {frame_index}: {what}")]
     Manifest {
         camera_id: String,
@@ -50,6 +57,7 @@ impl<E> FrameError<E> {
         match self {
             Self::Blob(_) => None,
             Self::Content { source, .. } => Some(source.kind()),
+            Self::Segment { source, .. } => Some(source.kind()),
             Self::Manifest { .. } => Some(ErrorKind::Invalid),
         }
     }

@@ -8,6 +8,7 @@ use super::content::LogBlobs;
 use super::frame::{FrameError, read_image};
 use super::image::decode_instance_mask;
 use crate::domain::drive_log::{CameraFrame, MASK_NONE, MASK_UNKNOWN};
+use crate::segment::RoadUser;
 
 /// More road users than an image can show apart.
 pub(super) const MAX_FREE_INSTANCES: usize = 1_000;
@@ -27,6 +28,11 @@ pub trait MaskSource {
         frame: &CameraFrame,
         camera: &Camera,
     ) -> Result<Option<Vec<u16>>, FrameError<Self::Error>>;
+
+    /// What an instance is, by the frame's index in the log and the mask's value; `None` if the source cannot tell.
+    fn class_of(&self, _frame: usize, _mask: u16) -> Option<RoadUser> {
+        None
+    }
 }
 
 /// The free masks that a log brings.

@@ -52,6 +52,8 @@ pub enum MaskOutcome {
     NoCuboid,
     /// It overlaps cuboids, none of them enough.
     LowOverlap,
+    /// The cuboid that it fits is of another class.
+    OtherClass,
     /// Another mask fits its cuboid better.
     Duplicate,
     /// It differs from the track's masks before and after it.
@@ -66,6 +68,7 @@ impl MaskOutcome {
             Self::Merged => "merged",
             Self::NoCuboid => "no_cuboid",
             Self::LowOverlap => "low_overlap",
+            Self::OtherClass => "other_class",
             Self::Duplicate => "duplicate",
             Self::Inconsistent => "inconsistent",
         }
@@ -83,13 +86,16 @@ pub(super) struct FrameMatch {
     pub outcomes: BTreeMap<u16, MaskOutcome>,
 }
 
+/// `may_be` says whether the mask of a value may show a track, as far as its class goes.
 pub(super) fn match_frame(
     overlaps: &Overlaps,
     outlines: &[Outline],
     matching: &MaskMatching,
+    may_be: impl Fn(u16, usize) -> bool,
 ) -> FrameMatch {
     let mut possible: BTreeMap<(usize, usize), f64> = BTreeMap::new();
     let mut merged = BTreeSet::new();
+    let mut of_other_class = BTreeSet::new();
     for (mask, outline) in overlaps.pairs() {
         let iou = overlaps.iou(mask, outline);
         if iou < matching.least_iou || overlaps.visible_px[outline] < LEAST_REGION_PX {
@@ -97,6 +103,8 @@ pub(super) fn match_frame(
         }
         if shows_more(overlaps, outlines, (mask, outline), matching) {
             merged.insert(mask);
+        } else if !may_be(overlaps.masks[mask], outlines[outline].track) {
+            of_other_class.insert(mask);
         } else {
             possible.insert((mask, outline), iou);
         }
@@ -111,6 +119,7 @@ pub(super) fn match_frame(
             }
             None if possible.keys().any(|(m, _)| *m == mask) => MaskOutcome::Duplicate,
             None if merged.contains(&mask) => MaskOutcome::Merged,
+            None if of_other_class.contains(&mask) => MaskOutcome::OtherClass,
             None => refusal(overlaps, mask, matching),
         };
         found.outcomes.insert(value, outcome);
@@ -271,7 +280,7 @@ mod tests {
 
     fn matched(parts: &[(u16, Rectangle)], matching: &MaskMatching) -> FrameMatch {
         let overlaps = Overlaps::of(&mask(parts), SIZE, &street());
-        match_frame(&overlaps, &street(), matching)
+        match_frame(&overlaps, &street(), matching, |_, _| true)
     }
 
     #[test]
@@ -321,6 +330,20 @@ mod tests {
         // The hidden car shows in a corner of the nearer one's hull.
         let found = matched(&[(2, (22..39, 9..22))], &MaskMatching::default());
         assert_eq!(found.track_of, BTreeMap::from([(2, 5)]));
+    }
+
+    #[test]
+    fn a_mask_of_another_class_is_no_tracks() {
+        let overlaps = Overlaps::of(&mask(&[(2, (46..57, 11..20))]), SIZE, &street());
+        let matching = MaskMatching::default();
+        let found = match_frame(&overlaps, &street(), &matching, |_, _| true);
+        assert_eq!(found.track_of, BTreeMap::from([(2, 6)]));
+        let found = match_frame(&overlaps, &street(), &matching, |mask, track| {
+            (mask, track) != (2, 6)
+        });
+        assert!(found.track_of.is_empty());
+        assert_eq!(found.outcomes[&2], MaskOutcome::OtherClass);
+        assert_eq!(found.unmasked[&6], Rejection::NoMask);
     }
 
     #[test]

@@ -51,7 +51,11 @@ pub fn match_masks<S: MaskSource>(
         let size = (camera.camera.width, camera.camera.height);
         let seen = outlines(log, frame, &camera.camera);
         let overlaps = Overlaps::of(&free, size, &seen);
-        let found = match_frame(&overlaps, &seen, matching);
+        let may_be = |mask: u16, track: usize| {
+            let class = source.class_of(index, mask);
+            class.is_none_or(|class| class.may_be(log.tracks[track].class))
+        };
+        let found = match_frame(&overlaps, &seen, matching, may_be);
         for (&value, &track) in &found.track_of {
             let own = own_outline(&seen, track);
             let scaled = ScaledMask::new(&free, size, value, &overlaps, own);

@@ -25,11 +25,14 @@ mod frame;
 mod held_out;
 mod sky;
 
+mod segmented;
+
 mod beams;
 mod mask_consistency;
 mod mask_match;
 mod mask_overlap;
 mod matched_masks;
+mod tied_masks;
 
 mod background;
 mod background_labels;
@@ -38,12 +41,16 @@ mod object;
 mod object_labels;
 mod object_plan;
 
+mod frame_masks;
+
 mod decompose;
 mod decomposition;
 mod log_labels;
 
 #[cfg(test)]
 mod decompose_tests;
+#[cfg(test)]
+mod segmented_tests;
 #[cfg(test)]
 mod stored_labels_tests;
 
@@ -55,6 +62,7 @@ pub(crate) use decomposition::{
     DECOMPOSITION_VERSION, Decomposition, DecompositionInputs, LabelledTrack, ObjectPixels,
 };
 pub use frame::FrameError;
+pub use frame_masks::{FrameMasks, ObjectMask, SeenTrack, frame_masks};
 pub use free_masks::{LogMasks, MaskSource};
 pub use image::ImageError;
 pub(crate) use image::{decode_instance_mask, decode_rgb};
@@ -63,5 +71,7 @@ pub use mask_match::{MaskMatching, MaskOutcome};
 pub use matched_masks::{MatchedMasks, match_masks};
 pub(crate) use object::{ObjectSet, object_set};
 pub(crate) use object_plan::{Rejections, TrackPlan, plan_objects};
+pub(crate) use segmented::{ClassedMasks, Segmentation, segment_log};
+pub(crate) use tied_masks::{TiedMask, tie_masks};
 pub use validate::{Accepted, validate};
 pub use violations::{FieldViolation, Violations};

@@ -134,7 +134,7 @@ pub(super) fn outlines(log: &DriveLog, frame: &CameraFrame, camera: &Camera) -> 
 }
 
 /// The projected area in pixels if the frame shows the whole object.
-fn assess(
+pub(super) fn assess(
     log: &DriveLog,
     frame: &CameraFrame,
     camera: &Camera,

@@ -14,6 +14,7 @@ fn decomposed(log: &DriveLog, blobs: &mut Blobs) -> Decomposition {
     let masks = matched(log, blobs);
     let subject = Subject {
         log,
+        segmentation: None,
         masks: &masks,
         plans: &plan_objects(log),
         inputs: Digest::of(b"inputs"),

@@ -110,6 +110,10 @@ pub(crate) struct InspectOptions {
     /// Pictures of each camera, evenly spaced over the log.
     #[arg(long, value_name = "N", default_value_t = 3)]
     pub pictures: usize,
+    /// Draw, too, what a decomposition learns from in those frames (CAMERA_FRAME_masks.png): objects in colour and what may be them in
+    /// dots, the reason for tracks that are not used, and hatched what teaches the background nothing.
+    #[arg(long)]
+    pub masks: bool,
     /// Seed of a generated log.
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
@@ -171,6 +175,18 @@ pub(crate) struct LogParts {
     /// How those maps were made, which decides how much they weigh.
     #[arg(long, value_enum, default_value_t = DepthKind::Stereo, requires = "depth_maps")]
     pub depth_kind: DepthKind,
+    /// Points of structure from motion in the log's world frame: points3D.txt of COLMAP, with images.txt beside it (images named
+    /// CAMERA/FRAME.png) for which image saw which point; or .ply; or .csv of x,y,z.
+    #[arg(long, value_name = "FILE")]
+    pub sfm_points: Option<PathBuf>,
+    /// Metres in one unit of those points.
+    #[arg(
+        long,
+        value_name = "METRES",
+        default_value_t = 1.0,
+        requires = "sfm_points"
+    )]
+    pub sfm_unit_m: f64,
     /// Leave the log's LiDAR out.
     #[arg(long)]
     pub no_lidar: bool,

@@ -7,6 +7,7 @@ use backlot_client::depth_maps::{DepthMapInputs, KITTI_UNIT_M, add_depth_maps};
 use backlot_client::generator::{DepthRecording, StreetConfig, StreetWorld};
 use backlot_client::log_format::{self, LogInputs};
 use backlot_client::read_log::ReadLog;
+use backlot_client::sfm_points::{SfmPointInputs, add_sfm_points};
 use backlot_proto::v1;
 
 use crate::args::{Depth, DepthKind, LogFormat, LogParts, StreetOptions};
@@ -59,6 +60,13 @@ pub(crate) fn read_folder(
             },
         };
         add_depth_maps(&mut log, &inputs)?;
+    }
+    if let Some(file) = &parts.sfm_points {
+        let inputs = SfmPointInputs {
+            file: file.clone(),
+            unit_m: parts.sfm_unit_m,
+        };
+        add_sfm_points(&mut log, &inputs)?;
     }
     for note in &log.drive_log.notes {
         eprintln!("note: {note}");

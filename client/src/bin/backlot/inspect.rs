@@ -4,7 +4,8 @@ use std::path::Path;
 
 use anyhow::Context;
 use backlot_client::inspect::{
-    CameraReport, DepthReport, LidarReport, LogReport, TrackReport, overlay, overlay_frames,
+    CameraReport, DepthReport, LidarReport, LogReport, MaskPictures, TrackReport, overlay,
+    overlay_frames,
 };
 use backlot_client::read_log::ReadLog;
 
@@ -41,18 +42,22 @@ pub(crate) fn run(options: &InspectOptions, output: Output) -> anyhow::Result<()
 
 fn write_pictures(log: &ReadLog, options: &InspectOptions) -> anyhow::Result<usize> {
     let frames = overlay_frames(&log.drive_log, options.pictures);
+    let masks = options.masks.then(|| MaskPictures::new(log)).transpose()?;
+    let mut written = 0;
     for frame in &frames {
-        let name = format!(
-            "{}_{:06}.png",
-            file_name(&frame.camera_id),
-            frame.frame_index
-        );
-        let path = options.out.join(name);
-        let picture = overlay(log, frame)
-            .with_context(|| format!("camera {}, frame {}", frame.camera_id, frame.frame_index))?;
-        save(&picture, &path)?;
+        let (camera, index) = (&frame.camera_id, frame.frame_index);
+        let named = || format!("camera {camera}, frame {index}");
+        let mut write = |picture: image::RgbImage, kind: &str| {
+            let name = format!("{}_{index:06}{kind}.png", file_name(camera));
+            written += 1;
+            save(&picture, &options.out.join(name))
+        };
+        write(overlay(log, frame).with_context(named)?, "")?;
+        if let Some(masks) = &masks {
+            write(masks.draw(frame).with_context(named)?, "_masks")?;
+        }
     }
-    Ok(frames.len())
+    Ok(written)
 }
 
 /// A camera's name is the data set's and may hold anything.

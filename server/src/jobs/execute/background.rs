@@ -52,7 +52,7 @@ pub(super) fn run(
         1,
         "finding the valid region",
     );
-    let mut recording = recording(log);
+    let mut recording = recording(log, &labels.tied_masks);
     let region = ValidRegion::build(&trained.field, &recording, &plan.region);
     recording.daylight = measure_daylight(&trained.field, &recording, &region);
     if region.free_cells().next().is_none() {

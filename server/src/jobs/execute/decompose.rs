@@ -1,15 +1,15 @@
 //! Segments and decomposes a log and keeps the result for later jobs; trains nothing.
 
-use super::PortBlobs;
 use super::budget::{LEAST_FRAMES, Plan};
 use super::control::report;
 use super::error::Error;
-use super::labels::{inputs, matched, stored};
+use super::labels::{MaskedLog, inputs, masked, stored};
 use super::objects::{count, too_few};
+use super::{Masking, PortBlobs};
 use crate::domain::drive_log::DriveLog;
 use crate::domain::job::{JobReport, TrackDecision};
 use crate::ingest::{
-    Decomposition, LabelledTrack, MaskMatching, ObjectPixels, Rejections, Subject, TrackPlan,
+    Decomposition, LabelledTrack, ObjectPixels, Rejections, Segmentation, Subject, TrackPlan,
     decompose, plan_objects,
 };
 use crate::jobs::worker_port::{Completion, JobControl, LeasedJob, NewDecomposition, WorkerPort};
@@ -22,9 +22,9 @@ pub(super) fn run(
     log: &DriveLog,
     port: &dyn WorkerPort,
     control: &JobControl,
-    matching: &MaskMatching,
+    masking: &Masking,
 ) -> Result<Completion, Error> {
-    let inputs = inputs(job, matching);
+    let inputs = inputs(job, log, masking);
     let plans = plan_objects(log);
     let budget = Plan::new(job.spec.budget);
     if let Some((known, stored)) = stored(&inputs, port)? {
@@ -37,14 +37,19 @@ pub(super) fn run(
             ..Default::default()
         });
     }
-    let masks = matched(log, port, control, matching)?;
+    let MaskedLog {
+        log,
+        segmentation,
+        masks,
+    } = &masked(log.clone(), port, control, masking)?;
     let (promising, _): (Vec<_>, Vec<_>) = plans
         .iter()
         .cloned()
         .partition(|plan| plan.frames.len() >= LEAST_FRAMES);
     let subject = Subject {
         log,
-        masks: &masks,
+        segmentation: segmentation.as_ref(),
+        masks,
         plans: &promising,
         inputs: inputs.digest(),
     };
@@ -62,11 +67,12 @@ pub(super) fn run(
     };
     let write = |content: &[u8]| port.write_blob(content);
     let made = decompose(&subject, &PortBlobs(port), write, progress)?.ok_or(Error::Cancelled)?;
+    let notes = segmentation.iter().map(Segmentation::summary).collect();
     report(control, DECOMPOSED, "publish", 0, 1, "writing the manifest");
     let manifest = port.write_blob(&made.to_json())?;
     Ok(Completion {
         assets: Vec::new(),
-        report: job_report(log, &plans, &made, &budget, Vec::new()),
+        report: job_report(log, &plans, &made, &budget, notes),
         decomposition: Some(NewDecomposition {
             inputs: made.inputs,
             manifest,

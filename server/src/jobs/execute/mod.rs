@@ -23,30 +23,37 @@ use crate::domain::blob::BlobRef;
 use crate::domain::drive_log::DriveLog;
 use crate::domain::job::JobKind;
 use crate::ingest::{LogBlobs, MaskMatching};
+use crate::segment::Segmenter;
 use bytes::Bytes;
 use error::Error;
 
+/// How a server finds out what masks show.
+#[derive(Clone, Debug, Default)]
+pub struct Masking {
+    pub matching: MaskMatching,
+    /// Finds masks where a log brings none.
+    pub segmenter: Option<Arc<dyn Segmenter>>,
+}
+
 /// What workers run.
-pub fn executor(matching: MaskMatching) -> Execute {
-    Arc::new(move |job, port, control| run(job, port, control, &matching))
+pub fn executor(masking: Masking) -> Execute {
+    Arc::new(move |job, port, control| run(job, port, control, &masking))
 }
 
 /// Runs one job to its end; blocks, and returns early once `control.cancelled()`.
-fn run(
-    job: &LeasedJob,
-    port: &dyn WorkerPort,
-    control: &JobControl,
-    matching: &MaskMatching,
-) -> Outcome {
+fn run(job: &LeasedJob, port: &dyn WorkerPort, control: &JobControl, masking: &Masking) -> Outcome {
     let work = || {
         control::report(control, 0.0, "decode", 0, 0, "reading the log");
         let manifest = port.read_blob(&job.manifest.digest)?;
         let log = DriveLog::from_manifest(&manifest)?;
-        let labels = || labels::labels(job, &log, port, control, matching);
-        match job.spec.kind {
-            JobKind::Background => background::run(job, &log, &labels()?, port, control),
-            JobKind::Objects => objects::run(job, &log, &labels()?, port, control),
-            JobKind::Decompose => decompose::run(job, &log, port, control, matching),
+        if job.spec.kind == JobKind::Decompose {
+            return decompose::run(job, &log, port, control, masking);
+        }
+        let (log, labels) = labels::labels(job, log, port, control, masking)?;
+        if job.spec.kind == JobKind::Background {
+            background::run(job, &log, &labels, port, control)
+        } else {
+            objects::run(job, &log, &labels, port, control)
         }
     };
     work().map_err(|error: Error| error.into_failure())
