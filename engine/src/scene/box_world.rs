@@ -61,7 +61,7 @@ impl BoxWorld {
     }
 
     /// Depth below the nearest surface in metres, negative outside; of the surface that is deepest or nearest.
-    fn depth(&self, p: DVec3) -> f64 {
+    pub(super) fn depth(&self, p: DVec3) -> f64 {
         let above = p.z - self.ground(p.x);
         let local = p.with_z(above);
         let edges = (self.half_width - p.y.abs())
@@ -77,24 +77,28 @@ impl BoxWorld {
     /// The same world in voxels: raw density falls from a voxel inside each surface to a voxel outside, so that the surfaces
     /// between the nodes are where they were.
     pub(super) fn voxelised(&self, voxel_m: f32) -> Field {
-        let rise = self.slope * self.length;
-        let low = glam::Vec3::new(-4.0, -self.half_width as f32, -1.5);
-        let high = glam::Vec3::new(
-            self.length as f32,
-            self.half_width as f32,
-            rise as f32 + 4.0,
-        );
-        stepped_field((low, high), voxel_m, [0.4; 3], MARCH_STEP_M, |p| {
+        let (low, high) = self.voxel_bounds();
+        let bounds = (low.as_vec3(), high.as_vec3());
+        stepped_field(bounds, voxel_m, [0.4; 3], MARCH_STEP_M, |p| {
             let voxels = self.depth(p.as_dvec3()) as f32 / voxel_m;
             (RAW_PER_VOXEL * voxels.clamp(-1.0, 1.0)).exp().ln_1p() / voxel_m
         })
+    }
+
+    /// The box that [`Self::voxelised`] fills.
+    pub(super) fn voxel_bounds(&self) -> (DVec3, DVec3) {
+        let rise = self.slope * self.length;
+        (
+            DVec3::new(-4.0, -self.half_width, -1.5),
+            DVec3::new(self.length, self.half_width, rise + 4.0),
+        )
     }
 }
 
 /// So fine that a ray does not step over a corner.
 const MARCH_STEP_M: f32 = 0.02;
 /// Raw density a voxel below a surface; a voxel above it is empty to 1e-6.
-const RAW_PER_VOXEL: f32 = 15.0;
+pub(super) const RAW_PER_VOXEL: f32 = 15.0;
 
 impl DensityField for BoxWorld {
     fn sigma(&self, p: DVec3) -> f64 {

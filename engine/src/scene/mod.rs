@@ -90,6 +90,8 @@ mod render_tests;
 mod solid_field;
 #[cfg(test)]
 mod sunlight_tests;
+#[cfg(test)]
+mod voxel_street;
 
 pub use clip::compose_clip;
 pub use collision::{Occupied, intersection_area_m2};
