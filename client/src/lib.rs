@@ -21,6 +21,8 @@ pub mod motion;
 pub mod connection;
 pub mod names;
 
+mod violated_files;
+
 pub mod upload;
 
 pub mod download;

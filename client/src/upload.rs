@@ -10,6 +10,7 @@ use futures::{StreamExt, TryStreamExt, stream};
 use crate::connection::{Connection, with_deadline};
 use crate::error::{Error, Result};
 use crate::read_log::{BlobSource, ReadLog};
+use crate::violated_files::with_files;
 
 /// Digests a FindMissingBlobs call may name.
 const FIND_BATCH: usize = 10_000;
@@ -260,6 +261,7 @@ async fn create(
             .drive_logs()
             .create_drive_log(request.clone())
             .await
+            .map_err(|status| with_files(status, log))
             .map_err(Error::status(format!("creating {name}")));
         match reply {
             Err(error) if attempt < ATTEMPTS && error.is_transient() => {

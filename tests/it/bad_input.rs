@@ -1,6 +1,6 @@
 //! Bad input: every case gets a status that names its cause, and the library stays as it was.
 
-use backlot_client::read_log::ReadLog;
+use backlot_client::read_log::{BlobSource, ReadLog};
 use backlot_client::{Connection, upload};
 use backlot_e2e::programs::finish;
 use backlot_e2e::state::Library;
@@ -31,6 +31,7 @@ async fn every_bad_call_is_refused_by_name_and_changes_nothing() {
 
     let refusals = [
         truncated_image(&connection).await,
+        damaged_image(&connection).await,
         nan_pose(&connection).await,
         missing_camera(&connection).await,
         missing_blob(&connection).await,
@@ -184,6 +185,27 @@ async fn truncated_image(connection: &Connection) -> Refusal {
     let cut = log.add_bytes(whole.slice(..whole.len() / 2));
     log.drive_log.frames[3].image = Some(cut);
     refused_log("truncated image", connection, &log, &["frames[3]", "image"]).await
+}
+
+/// A file whose ends are those of an image; only its middle is not.
+async fn damaged_image(connection: &Connection) -> Refusal {
+    let mut log = logs::tiny(2);
+    let image = log.drive_log.frames[5]
+        .image
+        .clone()
+        .expect("frames have images");
+    let mut damaged = content(&log, &image.digest).to_vec();
+    let middle = damaged.len() / 2;
+    damaged[middle] ^= 0x10;
+    let folder = tempfile::tempdir().expect("a folder can be made");
+    let path = folder.path().join("damaged_000005.png");
+    std::fs::write(&path, &damaged).expect("files can be written");
+    let blob = log.add_bytes(damaged);
+    log.blobs
+        .insert(blob.digest.clone(), BlobSource::File(path));
+    log.drive_log.frames[5].image = Some(blob);
+    let named = &["frames[5]", "does not decode", "damaged_000005.png"];
+    refused_log("damaged image", connection, &log, named).await
 }
 
 async fn nan_pose(connection: &Connection) -> Refusal {

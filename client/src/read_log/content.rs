@@ -15,15 +15,25 @@ const MAX_COORDINATE_M: f64 = 1e8;
 /// Quaternions in files carry rounding, not more.
 const MAX_NORM_ERROR: f64 = 1e-3;
 
-/// Reads an image file to its end and checks that it decodes and has `size` pixels; `source_of_size` says who wants that.
+/// Reads an image file to its end and checks it as [`check_header`] does; `source_of_size` says who wants that size.
 pub(crate) fn check_image(
     path: &Path,
     size: (u32, u32),
     source_of_size: &str,
 ) -> Result<v1::BlobRef> {
     let content = std::fs::read(path).map_err(|e| Error::io(path, e, ""))?;
-    decode_image(&content, size, source_of_size).map_err(|what| Error::malformed(path, what))?;
+    check_header(&content, size, source_of_size).map_err(|what| Error::malformed(path, what))?;
     Ok(blob_ref(&content))
+}
+
+/// Checks that an image is not cut off and has `size` pixels. What lies between its ends is decoded by the server on arrival and by
+/// [`ReadLog::check_images`](super::ReadLog::check_images): decoding costs three times the sending.
+pub(crate) fn check_header(
+    content: &[u8],
+    size: (u32, u32),
+    source_of_size: &str,
+) -> Result<(), String> {
+    open(content, size, source_of_size).map(drop)
 }
 
 /// Decodes an image of `size` pixels; the error says what is wrong with it.
@@ -32,11 +42,17 @@ pub(crate) fn decode_image(
     size: (u32, u32),
     source_of_size: &str,
 ) -> Result<DynamicImage, String> {
+    let decoder = open(content, size, source_of_size)?;
+    DynamicImage::from_decoder(decoder).map_err(|e| format!("the image does not decode: {e}"))
+}
+
+fn open<'a>(
+    content: &'a [u8],
+    size: (u32, u32),
+    source_of_size: &str,
+) -> Result<impl ImageDecoder + 'a, String> {
     if content.is_empty() {
         return Err("the image is empty".to_owned());
-    }
-    if content.starts_with(&JPEG_START) && !ends_as_jpeg(content) {
-        return Err("the image does not decode: the JPEG is cut off".to_owned());
     }
     let does_not_decode = |e: image::ImageError| format!("the image does not decode: {e}");
     let decoder = ImageReader::new(Cursor::new(content))
@@ -51,15 +67,32 @@ pub(crate) fn decode_image(
             size.0, size.1
         ));
     }
-    DynamicImage::from_decoder(decoder).map_err(does_not_decode)
+    match cut_off(content) {
+        Some(format) => Err(format!(
+            "the image does not decode: the {format} is cut off"
+        )),
+        None => Ok(decoder),
+    }
 }
 
 const JPEG_START: [u8; 2] = [0xff, 0xd8];
+const JPEG_END: [u8; 2] = [0xff, 0xd9];
+const PNG_START: [u8; 8] = *b"\x89PNG\r\n\x1a\n";
+/// The empty IEND chunk with its checksum.
+const PNG_END: [u8; 12] = *b"\0\0\0\0IEND\xae\x42\x60\x82";
 
-/// The decoder fills a cut-off JPEG with grey instead of failing; a whole one ends with its end-of-image marker, perhaps padded.
-fn ends_as_jpeg(content: &[u8]) -> bool {
+/// The format of an image without its end marker, behind which there may be padding. Decoders fill a cut-off JPEG with grey.
+fn cut_off(content: &[u8]) -> Option<&'static str> {
     let end = content.iter().rposition(|&b| b != 0).map_or(0, |i| i + 1);
-    content[..end].ends_with(&[0xff, 0xd9])
+    let content = &content[..end];
+    let is_cut = |start: &[u8], end: &[u8]| content.starts_with(start) && !content.ends_with(end);
+    if is_cut(&JPEG_START, &JPEG_END) {
+        Some("JPEG")
+    } else if is_cut(&PNG_START, &PNG_END) {
+        Some("PNG")
+    } else {
+        None
+    }
 }
 
 /// A rigid transform from numbers of a file; the error says which of them is unusable.

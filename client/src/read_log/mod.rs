@@ -16,6 +16,7 @@ use std::sync::Arc;
 
 use backlot_proto::v1;
 use bytes::Bytes;
+use rayon::prelude::*;
 
 pub use error::{Error, Result};
 pub use spool::{Spool, SpoolWriter};
@@ -108,6 +109,39 @@ impl ReadLog {
         }
         let note = format!("{} LiDAR sweeps were left out", sweeps.len());
         self.drive_log.notes.push(note);
+    }
+
+    /// Decodes every camera image whole, which the readers leave to the server. Blocks for about 50 ms an image and thread.
+    ///
+    /// # Errors
+    /// The first image that cannot be read or does not decode, by its file, camera and frame.
+    pub fn check_images(&self) -> Result<()> {
+        let sizes: BTreeMap<&str, (u32, u32)> = self
+            .drive_log
+            .cameras
+            .iter()
+            .map(|camera| (camera.camera_id.as_str(), (camera.width, camera.height)))
+            .collect();
+        self.drive_log.frames.par_iter().try_for_each(|frame| {
+            let (Some(blob), Some(&size)) = (&frame.image, sizes.get(frame.camera_id.as_str()))
+            else {
+                return Ok(());
+            };
+            let content = self.read_blob(blob);
+            let path = self.source_path(blob);
+            let content = content.map_err(|e| Error::io(&path, e, ""))?;
+            let checked = content::decode_image(&content, size, "the camera").map(drop);
+            checked.map_err(|what| {
+                let who = format!("camera {}, frame {}", frame.camera_id, frame.frame_index);
+                Error::malformed(&path, format!("({who}) {what}"))
+            })
+        })
+    }
+
+    /// The file of a blob of the manifest, or what else names it.
+    fn source_path(&self, blob: &v1::BlobRef) -> PathBuf {
+        let source = self.blobs.get(&blob.digest);
+        source.map_or_else(PathBuf::new, |s| s.describe(&blob.digest).into())
     }
 
     /// The bytes of a blob of the manifest. Blocks.

@@ -12,7 +12,7 @@ use rayon::prelude::*;
 use super::table::{Row, Table};
 use super::transform::{rigid, time_of_seconds};
 use crate::geometry::camera_to_wire;
-use crate::read_log::content::{decode_image, time_of_micros};
+use crate::read_log::content::{check_header, time_of_micros};
 use crate::read_log::{ReadLog, Result, SpoolWriter};
 
 pub(super) const FRAME_TIME: &str = "key.frame_timestamp_micros";
@@ -92,7 +92,7 @@ fn check_image(row: &Row<'_>, camera: &SegmentCamera) -> Result<Bytes> {
     let image = row.bytes(IMAGE)?;
     let size = (camera.model.width, camera.model.height);
     let named = |what| row.bad(format!("image of {}: {what}", camera.name));
-    decode_image(image, size, "camera_calibration").map_err(named)?;
+    check_header(image, size, "camera_calibration").map_err(named)?;
     Ok(image.clone())
 }
 

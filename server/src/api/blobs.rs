@@ -7,6 +7,7 @@ use backlot_proto::v1;
 use backlot_proto::v1::blob_service_server::BlobService;
 use futures::stream::{self, BoxStream};
 use futures::{StreamExt, TryStreamExt};
+use tokio_util::sync::CancellationToken;
 use tonic::{Request, Response, Status, Streaming};
 
 use super::blocking::{blocking, blocking_status};
@@ -14,18 +15,37 @@ use super::limits::{MAX_CHUNK_BYTES, MAX_DIGESTS, UPLOAD_IDLE};
 use super::status::{invalid_field, status, to_status};
 use crate::domain::blob::{BlobRef, Digest};
 use crate::error::ErrorKind;
+use crate::ingest::ArrivedImages;
 use crate::store::{self, Begun, BlobStore, Store, Upload};
 
 /// Blobs of one store.
 #[derive(Clone, Debug)]
 pub(crate) struct BlobApi {
     blobs: Arc<BlobStore>,
+    images: ArrivedImages,
+    stopping: CancellationToken,
 }
 
 impl BlobApi {
-    pub(crate) fn new(store: &Store) -> Self {
+    pub(crate) fn new(store: &Store, images: ArrivedImages, stopping: CancellationToken) -> Self {
         Self {
             blobs: Arc::new(store.blobs().clone()),
+            images,
+            stopping,
+        }
+    }
+
+    /// Has a blob that is whole now looked at, while the client sends the next.
+    fn look_at(&self, blob: &BlobRef) {
+        if self.images.arrived(blob) {
+            let api = self.clone();
+            // Nobody waits for it: what it does not get to is left to the log's check.
+            drop(tokio::task::spawn_blocking(move || {
+                api.images.work(|digest| {
+                    let goes_on = !api.stopping.is_cancelled();
+                    goes_on.then(|| api.blobs.read(digest).ok()).flatten()
+                });
+            }));
         }
     }
 }
@@ -78,6 +98,9 @@ impl BlobService for BlobApi {
             next = next_chunk(&mut messages).await?;
         }
         let committed_bytes = conclude(upload).await?;
+        if committed_bytes == blob.size_bytes {
+            self.look_at(&blob);
+        }
         Ok(Response::new(v1::WriteBlobResponse {
             committed_bytes,
             already_present: false,

@@ -17,19 +17,24 @@ use crate::domain::blob::BlobRef;
 use crate::domain::clock::Clock;
 use crate::domain::drive_log::DriveLog;
 use crate::domain::ids::DriveLogId;
-use crate::ingest::{self, LogBlobs};
+use crate::ingest::{self, ArrivedImages, LogBlobs};
 use crate::store::{self, DriveLogRecord, Store};
 
 /// Drive logs of one store.
 #[derive(Clone, Debug)]
 pub(crate) struct DriveLogApi {
     store: Store,
+    images: ArrivedImages,
     clock: Arc<dyn Clock>,
 }
 
 impl DriveLogApi {
-    pub(crate) fn new(store: Store, clock: Arc<dyn Clock>) -> Self {
-        Self { store, clock }
+    pub(crate) fn new(store: Store, images: ArrivedImages, clock: Arc<dyn Clock>) -> Self {
+        Self {
+            store,
+            images,
+            clock,
+        }
     }
 }
 
@@ -94,7 +99,11 @@ impl DriveLogApi {
         log: &DriveLog,
         validate_only: bool,
     ) -> Result<v1::CreateDriveLogResponse, Status> {
-        let accepted = ingest::validate(log, &StoredBlobs(&self.store))
+        let blobs = StoredBlobs {
+            store: &self.store,
+            images: &self.images,
+        };
+        let accepted = ingest::validate(log, &blobs)
             .map_err(|e| to_status(&e))?
             .map_err(|e| violations_status(&e))?;
         let record = match validate_only {
@@ -126,17 +135,24 @@ impl DriveLogApi {
 }
 
 /// The blobs of the store, as validation reads them.
-struct StoredBlobs<'a>(&'a Store);
+struct StoredBlobs<'a> {
+    store: &'a Store,
+    images: &'a ArrivedImages,
+}
 
 impl LogBlobs for StoredBlobs<'_> {
     type Error = store::Error;
 
     fn size_bytes(&self, blob: &BlobRef) -> store::Result<Option<u64>> {
-        self.0.blobs().size_bytes(&blob.digest)
+        self.store.blobs().size_bytes(&blob.digest)
     }
 
     fn read(&self, blob: &BlobRef) -> store::Result<Bytes> {
-        self.0.blobs().read(&blob.digest)
+        self.store.blobs().read(&blob.digest)
+    }
+
+    fn decoded_size(&self, blob: &BlobRef) -> Option<(u32, u32)> {
+        self.images.decoded_size(&blob.digest)
     }
 }
 

@@ -25,6 +25,7 @@ use super::jobs::JobApi;
 use super::samples::SampleApi;
 use super::{layers, limits};
 use crate::domain::clock::Clock;
+use crate::ingest::ArrivedImages;
 use crate::jobs::Queue;
 use crate::store::Store;
 
@@ -85,12 +86,16 @@ fn routes(services: Services, health: HealthReporter) -> Routes {
     let health = tonic_health::pb::health_server::HealthServer::new(
         tonic_health::server::HealthService::from_health_reporter(health),
     );
+    let images = ArrivedImages::new(rayon::current_num_threads());
     Routes::new(health)
         .add_service(reflection)
-        .add_service(limited!(BlobServiceServer, BlobApi::new(&store)))
+        .add_service(limited!(
+            BlobServiceServer,
+            BlobApi::new(&store, images.clone(), stopping.clone())
+        ))
         .add_service(limited!(
             DriveLogServiceServer,
-            DriveLogApi::new(store.clone(), clock.clone())
+            DriveLogApi::new(store.clone(), images, clock.clone())
         ))
         .add_service(limited!(
             AssetServiceServer,

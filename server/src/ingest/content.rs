@@ -25,10 +25,16 @@ pub trait LogBlobs: Sync {
 
     /// A complete blob's content.
     fn read(&self, blob: &BlobRef) -> Result<Bytes, Self::Error>;
+
+    /// Size in pixels of a complete blob that was decoded as an image before; `None` if it was not, or did not decode.
+    fn decoded_size(&self, blob: &BlobRef) -> Option<(u32, u32)> {
+        let _ = blob;
+        None
+    }
 }
 
 /// Largest image, mask, sweep or point file.
-const MAX_FILE_BYTES: u64 = 256 << 20;
+pub(super) const MAX_FILE_BYTES: u64 = 256 << 20;
 /// Frames or sweeps checked at once, each on a thread: that many files and decoded images are held in memory.
 const CHECKED_AT_ONCE: usize = 4;
 /// Ten times what a drive of a thousand images triangulates to; all are held in memory.
@@ -166,9 +172,12 @@ fn check_frame<B: LogBlobs>(
         None => None,
     };
     report("depth_map.image", of_depth);
-    let of_image = problem_of(&frame.image, blobs, |b| {
-        problem("image", decode_rgb(b, size))
-    })?;
+    let of_image = match blobs.decoded_size(&frame.image) {
+        Some(known) if known == size => problem_of_size(&frame.image, blobs)?,
+        _ => problem_of(&frame.image, blobs, |b| {
+            problem("image", decode_rgb(b, size))
+        })?,
+    };
     report("image", of_image);
     if let Some(mask) = &frame.instance_mask {
         let of_mask = problem_of(mask, blobs, |b| {
@@ -193,6 +202,13 @@ fn problem_of<B: LogBlobs>(
     blobs: &B,
     content: impl FnOnce(&[u8]) -> Option<String>,
 ) -> Result<Option<String>, B::Error> {
+    match problem_of_size(blob, blobs)? {
+        None => Ok(content(&blobs.read(blob)?)),
+        found => Ok(found),
+    }
+}
+
+fn problem_of_size<B: LogBlobs>(blob: &BlobRef, blobs: &B) -> Result<Option<String>, B::Error> {
     Ok(match blobs.size_bytes(blob)? {
         None => Some(format!("blob {} was not uploaded completely", blob.digest)),
         Some(held) if held != blob.size_bytes => Some(format!(
@@ -202,7 +218,7 @@ fn problem_of<B: LogBlobs>(
         Some(held) if held > MAX_FILE_BYTES => Some(format!(
             "has {held} bytes, at most {MAX_FILE_BYTES} are accepted"
         )),
-        Some(_) => content(&blobs.read(blob)?),
+        Some(_) => None,
     })
 }
 

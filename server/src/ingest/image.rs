@@ -86,7 +86,33 @@ pub(crate) fn decode_sky_mask(bytes: &[u8], size: (u32, u32)) -> Result<Vec<u8>,
     }
 }
 
+/// Decodes a PNG or JPEG of whatever size and returns its size in pixels: an image of that size passes [`decode_rgb`].
+///
+/// # Errors
+/// As [`decode_rgb`], and if it is not of 8 bits, which only masks and depth maps are not.
+pub(super) fn decoded_size(bytes: &[u8]) -> Result<(u32, u32), ImageError> {
+    let decoder = open(bytes)?;
+    let (size, found) = (decoder.dimensions(), decoder.color_type());
+    if found.bytes_per_pixel() != found.channel_count() {
+        let expected = "8 bits a channel";
+        return Err(ImageError::Colour { found, expected });
+    }
+    DynamicImage::from_decoder(decoder)?;
+    Ok(size)
+}
+
 fn decode(bytes: &[u8], size: (u32, u32)) -> Result<DynamicImage, ImageError> {
+    let decoder = open(bytes)?;
+    if decoder.dimensions() != size {
+        return Err(ImageError::Size {
+            found: decoder.dimensions(),
+            expected: size,
+        });
+    }
+    Ok(DynamicImage::from_decoder(decoder)?)
+}
+
+fn open(bytes: &[u8]) -> Result<impl ImageDecoder + '_, ImageError> {
     let mut reader = ImageReader::new(Cursor::new(bytes))
         .with_guessed_format()
         .map_err(image::ImageError::IoError)?;
@@ -98,14 +124,7 @@ fn decode(bytes: &[u8], size: (u32, u32)) -> Result<DynamicImage, ImageError> {
     let mut limits = Limits::default();
     limits.max_alloc = Some(MAX_DECODED_BYTES);
     reader.limits(limits);
-    let decoder = reader.into_decoder()?;
-    if decoder.dimensions() != size {
-        return Err(ImageError::Size {
-            found: decoder.dimensions(),
-            expected: size,
-        });
-    }
-    Ok(DynamicImage::from_decoder(decoder)?)
+    Ok(reader.into_decoder()?)
 }
 
 /// The decoder fills a cut-off JPEG with grey instead of failing; a whole one ends with its end-of-image marker, perhaps padded.

@@ -10,6 +10,7 @@ mod raster;
 
 mod free_masks;
 
+mod arrived_images;
 mod content;
 mod validate;
 #[cfg(test)]
@@ -54,6 +55,7 @@ mod segmented_tests;
 #[cfg(test)]
 mod stored_labels_tests;
 
+pub(crate) use arrived_images::ArrivedImages;
 pub(crate) use background::recording;
 pub use background::{BackgroundSet, background_set};
 pub use content::LogBlobs;

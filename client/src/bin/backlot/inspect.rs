@@ -22,6 +22,7 @@ pub(crate) fn run(options: &InspectOptions, output: Output) -> anyhow::Result<()
         seed: options.seed,
         street: &options.street,
     })?;
+    log.check_images()?;
     let report = LogReport::new(&log.drive_log);
     let text = serde_json::to_string_pretty(&report)?;
     std::fs::create_dir_all(&options.out)
