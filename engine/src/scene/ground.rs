@@ -40,6 +40,8 @@ const SEED_AHEAD_M: usize = 10;
 const ROAD_PLANE_M: f64 = 2.5;
 /// Of eight; a kerb or wall cell has at most five on the road's side.
 const HEALING_NEIGHBOURS: usize = 6;
+/// At the edge of what is looked at, where all that are looked at must be ground: along a kerb two of them are not.
+const HEALING_AT_EDGE: usize = 5;
 
 /// Fills `region.ground_m` and says what was found per cell; `None` if no road is found under the path.
 pub(super) fn grow_ground(
@@ -82,7 +84,7 @@ pub(super) fn grow_ground(
     }
     smooth(region, &found);
     reject_off_road(path, config, region, &mut found);
-    heal(region, &mut found);
+    heal(path, config, region, &mut found);
     Some(found)
 }
 
@@ -265,17 +267,22 @@ fn road_plane(region: &ValidRegion, found: &[Found], foot: usize) -> Option<Grou
 }
 
 /// A lone cell amid road that stepped or had no surface is an error of the field: it takes its neighbours' height.
-fn heal(region: &mut ValidRegion, found: &mut [Found]) {
+fn heal(path: &DrivenPath, config: &RegionConfig, region: &mut ValidRegion, found: &mut [Found]) {
     let before = found.to_vec();
     for cell in 0..found.len() {
         if !matches!(before[cell], Found::Step | Found::Hole(_)) {
             continue;
         }
-        let mut heights: Vec<f64> = neighbours(region, cell, true)
-            .filter(|n| before[*n] == Found::Ground)
-            .map(|n| region.ground_m[n])
+        let looked_at: Vec<usize> = neighbours(region, cell, true)
+            .filter(|n| path.is_beside(region.centre(*n), config.max_lateral_m))
             .collect();
-        if heights.len() >= HEALING_NEIGHBOURS {
+        let mut heights: Vec<f64> = looked_at
+            .iter()
+            .filter(|n| before[**n] == Found::Ground)
+            .map(|n| region.ground_m[*n])
+            .collect();
+        let enough = HEALING_NEIGHBOURS.min(looked_at.len().max(HEALING_AT_EDGE));
+        if heights.len() >= enough {
             heights.sort_by(f64::total_cmp);
             region.ground_m[cell] = heights[heights.len() / 2];
             found[cell] = Found::Ground;

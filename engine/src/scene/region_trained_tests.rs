@@ -149,7 +149,7 @@ fn far_from_expected(region: &ValidRegion, expected: &[Cell]) -> Vec<usize> {
 }
 
 /// Wherever the map can be told from its surroundings by more than a cell, nothing is free that must not be, and hardly anything is
-/// missed: at the outer edge of the seen strip trained ground is uneven.
+/// missed: at the corners of what few views see past the car and the wall, trained ground is uneven.
 #[test]
 fn a_trained_street_frees_nothing_more_than_a_cell_away_from_the_expected_map() {
     let (region, world) = trained_region(900);
@@ -164,7 +164,7 @@ fn a_trained_street_frees_nothing_more_than_a_cell_away_from_the_expected_map() 
         missed.len()
     );
     assert!(
-        freed.is_empty() && missed.len() * 200 < free,
+        freed.is_empty() && missed.len() * 400 < free,
         "{} cells freed, {} missed\n{}\n{}",
         freed.len(),
         missed.len(),
