@@ -55,7 +55,7 @@ fn read_points(path: &Path, text: &str) -> Result<(Vec<DVec3>, Seen)> {
         }
         let bad = |what: String| Error::at_line(path, number, what);
         let fields: Vec<&str> = line.split_whitespace().collect();
-        if fields.len() < LEAST_FIELDS || fields.len() % 2 != 0 {
+        if fields.len() < LEAST_FIELDS || !fields.len().is_multiple_of(2) {
             let what =
                 "a line of points3D.txt is ID X Y Z R G B ERROR and pairs of IMAGE_ID POINT2D_IDX";
             return Err(bad(format!("{} fields; {what}", fields.len())));

@@ -172,7 +172,7 @@ fn tables_and_ply_of_every_form_come_back() {
         .collect();
     let cases = [
         (file("points.csv", table.clone().into_bytes()), 1e-9),
-        (file("bare.csv", table[10..].as_bytes().to_vec()), 1e-9),
+        (file("bare.csv", table.as_bytes()[10..].to_vec()), 1e-9),
         (file("text.ply", ply(&points, "ascii", "float")), 1e-9),
         (
             file("double.ply", ply(&points, "binary_little_endian", "double")),

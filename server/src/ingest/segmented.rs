@@ -62,25 +62,29 @@ pub(crate) fn segment_log<B: LogBlobs>(
         if !progress(index, log.frames.len()) {
             return Ok(None);
         }
-        let (mask, instances) = segment_frame(frame, &camera.camera, blobs, segmenter)?;
+        let labelled = segment_frame(frame, &camera.camera, blobs, segmenter)?;
         let segmented = SegmentedFrame {
             camera_id: frame.camera_id.clone(),
             frame_index: frame.frame_index,
-            mask: write(&mask).map_err(FrameError::Blob)?,
-            instances,
+            mask: write(&labelled.mask_png).map_err(FrameError::Blob)?,
+            instances: labelled.instances,
         };
         found.frames.insert(index, segmented);
     }
     Ok(Some(found))
 }
 
-/// The mask, encoded, and what is in it.
+struct Labelled {
+    mask_png: Vec<u8>,
+    instances: Vec<LabelledInstance>,
+}
+
 fn segment_frame<B: LogBlobs>(
     frame: &CameraFrame,
     camera: &Camera,
     blobs: &B,
     segmenter: &dyn Segmenter,
-) -> Result<(Vec<u8>, Vec<LabelledInstance>), FrameError<B::Error>> {
+) -> Result<Labelled, FrameError<B::Error>> {
     let size = (camera.width, camera.height);
     let pixels = read_image(blobs, frame, "image", &frame.image, |b| decode_rgb(b, size))?;
     let image = RgbImage {
@@ -94,7 +98,10 @@ fn segment_frame<B: LogBlobs>(
         source,
     })?;
     let (labels, instances) = label_image(&instances, size);
-    Ok((encode_mask(labels, size), instances))
+    Ok(Labelled {
+        mask_png: encode_mask(labels, size),
+        instances,
+    })
 }
 
 /// An instance mask as a 16-bit grey PNG; `mask` is row-major of `size`, (width, height).

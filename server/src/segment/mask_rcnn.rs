@@ -58,7 +58,7 @@ impl<'a> MaskRcnn<'a> {
         else {
             return Err(wrong());
         };
-        let of_each = [labels, scores].map(|t| &t.shape[..] == [count]);
+        let of_each = [labels, scores].map(|t| t.shape[..] == [count]);
         let has_pixels = count == 0 || width * height > 0;
         if of_each != [true, true] || of_masks != count || !has_pixels {
             return Err(wrong());

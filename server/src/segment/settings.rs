@@ -237,7 +237,9 @@ mod tests {
     const GOOD: &str = "model = \"m.onnx\"\nlayout = \"yolo-seg\"\ninput_px = [640, 384]\n";
 
     fn check(text: &str) -> Result<SegmenterSettings, Refused> {
-        toml::from_str::<RawSegmenter>(text).unwrap().check()
+        toml::from_str::<RawSegmenter>(text)
+            .expect("the text is a table")
+            .check()
     }
 
     #[test]
