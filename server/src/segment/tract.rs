@@ -4,8 +4,8 @@ use std::io::Cursor;
 use std::sync::Arc;
 
 use tract_onnx::prelude::{
-    DatumType, Framework, InferenceFact, InferenceModel, InferenceModelExt, TValue, TVec,
-    Tensor as TractTensor, TractResult, TypedRunnableModel, tvec,
+    DatumType, Framework, InferenceFact, InferenceModel, InferenceModelExt, IntoRunnable, TValue,
+    TVec, Tensor as TractTensor, TractResult, TypedRunnableModel, tvec,
 };
 
 use super::error::SegmentError;
@@ -27,7 +27,7 @@ impl Tract {
         let refused = |error| ("segmenter.model", format!("{error:#}"));
         let read = tract_onnx::onnx().model_for_read(&mut Cursor::new(model));
         let read = read.map_err(refused)?;
-        let is_batched = is_batched(&read).map_err(refused)?;
+        let is_batched = is_batched(&read)?;
         let names = names(&read).map_err(refused)?;
         let (width, height) = (input_px.0 as usize, input_px.1 as usize);
         let batch: &[usize] = if is_batched { &[1] } else { &[] };
@@ -68,14 +68,15 @@ impl Runtime for Tract {
 }
 
 /// Whether the input is [1, 3, height, width] rather than [3, height, width]. One whose shape is not written is taken for the former.
-fn is_batched(model: &InferenceModel) -> TractResult<bool> {
-    let count = model.input_outlets()?.len();
+fn is_batched(model: &InferenceModel) -> Result<bool, Refused> {
+    let refused = |error| ("segmenter.model", format!("{error:#}"));
+    let count = model.input_outlets().map_err(refused)?.len();
     if count != 1 {
-        return Err(tract_onnx::prelude::anyhow!(
-            "the model has {count} inputs, not one"
-        ));
+        let why = format!("the model has {count} inputs, not one");
+        return Err(("segmenter.model", why));
     }
-    Ok(model.input_fact(0)?.shape.dims().count() != 3)
+    let fact = model.input_fact(0).map_err(refused)?;
+    Ok(fact.shape.dims().count() != 3)
 }
 
 /// Whether the input as written takes `wanted`, and f32.
