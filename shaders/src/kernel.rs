@@ -41,6 +41,7 @@ impl Kernel {
     pub fn constants(&self) -> Vec<(&'static str, f64)> {
         vec![
             ("BRICK_SIDE", f64::from(crate::BRICK_SIDE)),
+            ("NODES_PER_BRICK", f64::from(crate::NODES_PER_BRICK)),
             ("WORKGROUP_SIZE", f64::from(self.workgroup_size)),
         ]
     }

@@ -16,6 +16,17 @@ pub struct Level {
     pub index_start: u32,
 }
 
+/// A range of the nodes: what no binding holds as a whole is taken part by part.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Pod, Zeroable)]
+#[repr(C)]
+pub struct PartParams {
+    pub level_count: u32,
+    pub first_node: u32,
+    pub node_count: u32,
+    /// First node of the binding that holds the part's densities, for kernels that have one.
+    pub first_density: u32,
+}
+
 /// A stored block of 8^3 occupancy cells.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
 #[repr(C)]
@@ -136,10 +147,17 @@ pub struct TrainParams {
     pub sky_rate: f32,
     pub density_variation_rate: f32,
     pub feature_variation_rate: f32,
-    /// 1: views' exposures apply.
-    pub has_exposures: u32,
-    /// 1: views' poses are learned.
-    pub learns_poses: u32,
+    /// Views with corrections, of exposure and pose; 0 while none are learned.
+    pub view_count: u32,
+    /// Adam's, its bias corrections included; 0 leaves exposures or poses as they are.
+    pub exposure_rate: f32,
+    pub pose_rate: f32,
+    /// How strongly both are drawn to the recorded ones.
+    pub exposure_prior: f32,
+    pub pose_prior: f32,
+    /// The part of the list of touched bricks that is moved.
+    pub first_touched: u32,
+    pub touched_end: u32,
     /// Quantile of the range errors that the next step takes for outliers; 0 keeps `depth_trim_m`.
     pub trim_quantile: f32,
     pub sky_texel_count: u32,
@@ -184,8 +202,7 @@ pub struct GradientPoint {
     pub raw: f32,
     /// Row of the feature gradients; `u32::MAX` for none.
     pub slot: u32,
-    pub ray: u32,
-    pub padding: [u32; 2],
+    pub padding: [u32; 3],
 }
 
 /// One latitude-longitude grid of the sky.
@@ -229,23 +246,19 @@ pub struct StepState {
     pub diverged: u32,
 }
 
-/// A view's exposure: `color' = exp(log_gain) color + bias`; the fourth components mean nothing.
+/// What is corrected about a view; fourth components mean nothing but in the rotation. Exposure: `color' = exp(log_gain) color + bias`.
+/// Pose, in the field's frame: `p' = rotation p + translation_m`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
 #[repr(C)]
-pub struct Exposure {
+pub struct View {
     pub log_gain: [f32; 4],
     pub bias: [f32; 4],
+    /// A unit quaternion, its real part last.
+    pub rotation: [f32; 4],
+    pub translation_m: [f32; 4],
 }
 
-/// A ray's gradient by its view's exposure.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
-#[repr(C)]
-pub struct ExposureGradient {
-    pub log_gain: [f32; 4],
-    pub bias: [f32; 4],
-}
-
-/// A network weight's optimiser state.
+/// Adam's state of one parameter.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
 #[repr(C)]
 pub struct Moments {

@@ -1,8 +1,10 @@
 //! WGSL compute kernels of Backlot and what a host must know to run them. Knows no GPU API.
 //!
-//! `wgsl/` holds libraries (functions only) and one file per entry point. [`kernels`] lists the entry points with their
-//! bindings, [`layout`] and [`scene_layout`] mirror the structs. Both are compared with what naga reads from the WGSL, so neither can drift;
-//! constants that host and kernel share are pipeline overrides filled from here, so there is no second copy of them.
+//! `wgsl/` holds libraries (structs, constants and functions, and the bindings that some functions read) and one file per entry point.
+//! [`kernels`] lists the entry points with their bindings, [`layout`] and [`scene_layout`] mirror the structs. Both are compared with what
+//! naga reads from the WGSL, so neither can drift. The brick's size, workgroup sizes and what is a host's parameter (network width,
+//! optimiser constants, how densities are divided) are pipeline overrides; codes and thresholds that only kernels of one field use stand
+//! in the WGSL, next to the formula.
 
 pub mod layout;
 
@@ -21,6 +23,15 @@ pub use kernel::{Access, Binding, Kernel};
 /// Nodes along one edge of a brick.
 pub const BRICK_SIDE: u32 = 8;
 
+/// Nodes of a brick.
+pub const NODES_PER_BRICK: u32 = BRICK_SIDE * BRICK_SIDE * BRICK_SIDE;
+
+/// Numbers that correct a view: log gain, bias, rotation and translation.
+pub const VIEW_VALUES: usize = 12;
+
+/// What a view sums on the device: gradients by its [`VIEW_VALUES`], and whether it has had a ray.
+pub const VIEW_SUMS: usize = VIEW_VALUES + 1;
+
 /// Bindings over which densities can be split.
 pub const DENSITY_PARTS: usize = 4;
 
@@ -29,6 +40,13 @@ pub const BLOCK_FLOATS: usize = 16;
 
 /// Neurons, inputs or samples along one edge of a block.
 pub const BLOCK_EDGE: usize = 4;
+
+/// Samples of a thread in the kernels that take many; slots are multiples of these.
+pub const SAMPLES_PER_THREAD: usize = 16;
+
+/// Weights along one edge of a tile of [`kernels::LAYER_GRADIENTS`], in quads, and of the wide one.
+pub const TILE_QUADS: u32 = 4;
+pub const WIDE_TILE_QUADS: u32 = 8;
 
 /// Blocks of the colour network's inputs.
 pub const INPUT_BLOCKS: usize = 10;

@@ -2,10 +2,12 @@
 
 use crate::kernel::{Access, Binding, Kernel, kernel_of};
 use crate::kernels::{bind, bind_array};
-use crate::layout::{Block, Level, MarchParams, Ray, RaySample, RaySummary, SkyGrid, SlotSample};
+use crate::layout::{
+    Block, Level, MarchParams, PartParams, Ray, RaySample, RaySummary, SkyGrid, SlotSample,
+};
 use crate::scene_layout::{
-    EyeParams, ObjectBox, PartParams, RayHit, RayPairs, RayRequest, SampleList, SceneParams,
-    SlotRange, Weighted,
+    EyeParams, ObjectBox, RayHit, RayPairs, RayRequest, SampleList, SceneParams, SlotRange,
+    Weighted,
 };
 use crate::{BLOCK_FLOATS, LAYER_1_BLOCKS, LAYER_2_BLOCKS, LAYER_3_BLOCKS};
 
@@ -153,7 +155,7 @@ pub const MARCH_DENSITY_SPLIT: Kernel = Kernel {
 /// Interpolates the features of listed samples from one part of the nodes; any number of threads.
 pub const SCENE_FEATURES: Kernel = Kernel {
     bindings: &[
-        bind::<PartParams>("params", Access::Uniform),
+        bind::<PartParams>("part", Access::Uniform),
         bind::<Level>("levels", Access::Read),
         bind::<u32>("brick_index", Access::Read),
         bind::<Quad>("features_a", Access::Read),
@@ -169,6 +171,7 @@ pub const SCENE_FEATURES: Kernel = Kernel {
         "scene_features",
         "types",
         "lattice",
+        "features",
         "training",
         "scene",
         "scene_features"
@@ -194,6 +197,7 @@ pub const SCENE_NETWORK: Kernel = Kernel {
         "types",
         "transcendental",
         "network",
+        "angles",
         "view_inputs",
         "training",
         "scene_network"
@@ -246,6 +250,7 @@ pub const SCENE_SKY: Kernel = Kernel {
         "transcendental",
         "training",
         "scene",
+        "angles",
         "sky",
         "scene_sky"
     )

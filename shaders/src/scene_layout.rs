@@ -122,15 +122,6 @@ pub struct RayHit {
     pub z_per_m: f32,
 }
 
-/// Nodes that one part of the features holds.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Pod, Zeroable)]
-#[repr(C)]
-pub struct PartParams {
-    pub level_count: u32,
-    pub first_node: u32,
-    pub node_count: u32,
-}
-
 /// Slots that hold a list's coloured samples.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Pod, Zeroable)]
 #[repr(C)]

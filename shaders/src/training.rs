@@ -1,16 +1,36 @@
 //! The table's kernels of a training step, in the order in which they run.
 
-use crate::kernel::{Access, Kernel, kernel_of};
+use crate::kernel::{Access, Binding, Kernel, kernel_of};
 use crate::kernels::{bind, bind_array};
 use crate::layout::{
-    BrickPlace, Exposure, ExposureGradient, GradientPoint, LayerParams, Level, Moments, Ray,
-    RayLoss, RaySample, RaySummary, RayTarget, SkyGrid, SlotSample, StepState, TrainParams,
+    BrickPlace, GradientPoint, LayerParams, Level, Moments, PartParams, Ray, RayLoss, RaySample,
+    RaySummary, RayTarget, SkyGrid, SlotSample, StepState, TrainParams, View,
 };
 use crate::{BLOCK_FLOATS, LAYER_1_BLOCKS, LAYER_2_BLOCKS, LAYER_3_BLOCKS};
 
 /// A 4x4 block of weights.
 type Block = [f32; BLOCK_FLOATS];
 type Quad = [f32; 4];
+
+/// Moves rays as the poses of their views are corrected; one thread a ray.
+pub const CORRECT_RAYS: Kernel = Kernel {
+    bindings: &[
+        bind::<TrainParams>("params", Access::Uniform),
+        bind::<RayTarget>("targets", Access::Read),
+        bind::<View>("views", Access::Read),
+        bind::<Ray>("rays", Access::ReadWrite),
+        bind::<u32>("view_sums", Access::ReadWrite),
+    ],
+    workgroup_size: 64,
+    ..kernel_of!(
+        "correct_rays",
+        "types",
+        "training",
+        "angles",
+        "rotation",
+        "correct_rays"
+    )
+};
 
 /// Weights the marched samples and lists those that are coloured; one thread a ray.
 pub const COMPOSITE_SAMPLES: Kernel = Kernel {
@@ -35,10 +55,10 @@ pub const COMPOSITE_SAMPLES: Kernel = Kernel {
     )
 };
 
-/// The colour network's inputs of coloured samples; any number of threads.
+/// The colour network's inputs of coloured samples, from one part of the nodes; any number of threads.
 pub const GATHER_INPUTS: Kernel = Kernel {
     bindings: &[
-        bind::<TrainParams>("params", Access::Uniform),
+        bind::<PartParams>("part", Access::Uniform),
         bind::<Level>("levels", Access::Read),
         bind::<u32>("brick_index", Access::Read),
         bind::<Quad>("features_a", Access::Read),
@@ -55,6 +75,7 @@ pub const GATHER_INPUTS: Kernel = Kernel {
         "types",
         "lattice",
         "features",
+        "angles",
         "view_inputs",
         "training",
         "gather_inputs"
@@ -63,18 +84,9 @@ pub const GATHER_INPUTS: Kernel = Kernel {
 
 /// Colours of coloured samples; any number of threads.
 pub const NETWORK_FORWARD: Kernel = Kernel {
-    bindings: &[
-        bind_array::<Block>("layer_1", LAYER_1_BLOCKS),
-        bind_array::<Block>("layer_2", LAYER_2_BLOCKS),
-        bind_array::<Block>("layer_3", LAYER_3_BLOCKS),
-        bind::<u32>("counters", Access::Read),
-        bind::<Quad>("slot_inputs", Access::Read),
-        bind::<Quad>("hidden_a", Access::ReadWrite),
-        bind::<Quad>("hidden_b", Access::ReadWrite),
-        bind::<Quad>("slot_colors", Access::ReadWrite),
-    ],
+    bindings: FORWARD_BINDINGS,
     workgroup_size: 64,
-    parameters: &["WIDTH_BLOCKS"],
+    parameters: &["WIDTH_BLOCKS", "KEEPS_HIDDEN"],
     ..kernel_of!(
         "network_forward",
         "types",
@@ -85,29 +97,31 @@ pub const NETWORK_FORWARD: Kernel = Kernel {
     )
 };
 
-/// [`NETWORK_FORWARD`] with four samples a thread.
-pub const NETWORK_FORWARD_FOUR: Kernel = Kernel {
-    bindings: &[
-        bind_array::<Block>("layer_1", LAYER_1_BLOCKS),
-        bind_array::<Block>("layer_2", LAYER_2_BLOCKS),
-        bind_array::<Block>("layer_3", LAYER_3_BLOCKS),
-        bind::<u32>("counters", Access::Read),
-        bind::<Quad>("slot_inputs", Access::Read),
-        bind::<Quad>("hidden_a", Access::ReadWrite),
-        bind::<Quad>("hidden_b", Access::ReadWrite),
-        bind::<Quad>("slot_colors", Access::ReadWrite),
-    ],
-    workgroup_size: 32,
-    parameters: &["WIDTH_BLOCKS"],
+/// [`NETWORK_FORWARD`] with [`crate::SAMPLES_PER_THREAD`].
+pub const NETWORK_FORWARD_MANY: Kernel = Kernel {
+    bindings: FORWARD_BINDINGS,
+    workgroup_size: 16,
+    parameters: &["WIDTH_BLOCKS", "KEEPS_HIDDEN"],
     ..kernel_of!(
-        "network_forward_four",
+        "network_forward_many",
         "types",
         "transcendental",
-        "network_four",
+        "network_many",
         "training",
-        "network_forward_four"
+        "network_forward_many"
     )
 };
+
+const FORWARD_BINDINGS: &[Binding] = &[
+    bind_array::<Block>("layer_1", LAYER_1_BLOCKS),
+    bind_array::<Block>("layer_2", LAYER_2_BLOCKS),
+    bind_array::<Block>("layer_3", LAYER_3_BLOCKS),
+    bind::<u32>("counters", Access::Read),
+    bind::<Quad>("slot_inputs", Access::Read),
+    bind::<Quad>("hidden_a", Access::ReadWrite),
+    bind::<Quad>("hidden_b", Access::ReadWrite),
+    bind::<Quad>("slot_colors", Access::ReadWrite),
+];
 
 /// Losses of every ray and their gradients by colours, densities, sky and exposures; one thread a ray.
 pub const RAY_LOSSES: Kernel = Kernel {
@@ -123,12 +137,12 @@ pub const RAY_LOSSES: Kernel = Kernel {
         bind::<Quad>("slot_colors", Access::Read),
         bind::<SkyGrid>("sky_grids", Access::Read),
         bind::<f32>("sky_logits", Access::Read),
-        bind::<Exposure>("exposures", Access::Read),
+        bind::<View>("views", Access::Read),
         bind::<Quad>("slot_color_gradients", Access::ReadWrite),
         bind::<GradientPoint>("points", Access::ReadWrite),
         bind::<u32>("sky_gradients", Access::ReadWrite),
         bind::<RayLoss>("ray_losses_out", Access::ReadWrite),
-        bind::<ExposureGradient>("exposure_gradients", Access::ReadWrite),
+        bind::<u32>("view_sums", Access::ReadWrite),
         bind::<StepState>("state", Access::Read),
     ],
     workgroup_size: 64,
@@ -138,26 +152,16 @@ pub const RAY_LOSSES: Kernel = Kernel {
         "transcendental",
         "training",
         "losses",
+        "angles",
         "sky",
+        "view_sums",
         "ray_losses"
     )
 };
 
 /// Gradients by the colour network's neurons and features; any number of threads.
 pub const NETWORK_BACKWARD: Kernel = Kernel {
-    bindings: &[
-        bind_array::<Block>("layer_1", LAYER_1_BLOCKS),
-        bind_array::<Block>("layer_2", LAYER_2_BLOCKS),
-        bind_array::<Block>("layer_3", LAYER_3_BLOCKS),
-        bind::<u32>("counters", Access::Read),
-        bind::<Quad>("hidden_a", Access::Read),
-        bind::<Quad>("hidden_b", Access::Read),
-        bind::<Quad>("slot_colors", Access::Read),
-        bind::<Quad>("slot_color_gradients", Access::ReadWrite),
-        bind::<Quad>("gradients_a", Access::ReadWrite),
-        bind::<Quad>("gradients_b", Access::ReadWrite),
-        bind::<Quad>("slot_gradients", Access::ReadWrite),
-    ],
+    bindings: BACKWARD_BINDINGS,
     workgroup_size: 64,
     parameters: &["WIDTH_BLOCKS"],
     ..kernel_of!(
@@ -170,50 +174,73 @@ pub const NETWORK_BACKWARD: Kernel = Kernel {
     )
 };
 
-/// [`NETWORK_BACKWARD`] with four samples a thread.
-pub const NETWORK_BACKWARD_FOUR: Kernel = Kernel {
-    bindings: &[
-        bind_array::<Block>("layer_1", LAYER_1_BLOCKS),
-        bind_array::<Block>("layer_2", LAYER_2_BLOCKS),
-        bind_array::<Block>("layer_3", LAYER_3_BLOCKS),
-        bind::<u32>("counters", Access::Read),
-        bind::<Quad>("hidden_a", Access::Read),
-        bind::<Quad>("hidden_b", Access::Read),
-        bind::<Quad>("slot_colors", Access::Read),
-        bind::<Quad>("slot_color_gradients", Access::ReadWrite),
-        bind::<Quad>("gradients_a", Access::ReadWrite),
-        bind::<Quad>("gradients_b", Access::ReadWrite),
-        bind::<Quad>("slot_gradients", Access::ReadWrite),
-    ],
-    workgroup_size: 32,
+/// [`NETWORK_BACKWARD`] with [`crate::SAMPLES_PER_THREAD`].
+pub const NETWORK_BACKWARD_MANY: Kernel = Kernel {
+    bindings: BACKWARD_BINDINGS,
+    workgroup_size: 16,
     parameters: &["WIDTH_BLOCKS"],
     ..kernel_of!(
-        "network_backward_four",
+        "network_backward_many",
         "types",
         "transcendental",
-        "network_four",
+        "network_many",
         "training",
-        "network_backward_four"
+        "network_backward_many"
     )
 };
 
+const BACKWARD_BINDINGS: &[Binding] = &[
+    bind_array::<Block>("layer_1", LAYER_1_BLOCKS),
+    bind_array::<Block>("layer_2", LAYER_2_BLOCKS),
+    bind_array::<Block>("layer_3", LAYER_3_BLOCKS),
+    bind::<u32>("counters", Access::Read),
+    bind::<Quad>("hidden_a", Access::Read),
+    bind::<Quad>("hidden_b", Access::Read),
+    bind::<Quad>("slot_colors", Access::Read),
+    bind::<Quad>("slot_color_gradients", Access::ReadWrite),
+    bind::<Quad>("gradients_a", Access::ReadWrite),
+    bind::<Quad>("gradients_b", Access::ReadWrite),
+    bind::<Quad>("slot_gradients", Access::ReadWrite),
+];
+
 /// Gradient of one layer's weights; one thread a tile of 16 x 16 weights and a share of the samples.
 pub const LAYER_GRADIENTS: Kernel = Kernel {
-    bindings: &[
-        bind::<LayerParams>("layer", Access::Uniform),
-        bind::<u32>("counters", Access::Read),
-        bind::<Quad>("layer_inputs", Access::Read),
-        bind::<Quad>("output_gradients", Access::Read),
-        bind::<Block>("weight_gradients", Access::ReadWrite),
-    ],
+    bindings: LAYER_BINDINGS,
     workgroup_size: 8,
-    ..kernel_of!("layer_gradients", "types", "training", "layer_gradients")
+    ..kernel_of!(
+        "layer_gradients",
+        "types",
+        "training",
+        "layer_sums",
+        "layer_gradients"
+    )
 };
 
-/// Adds the gradients of points to the nodes around them; any number of threads.
+/// [`LAYER_GRADIENTS`] with tiles of 32 x 32 weights.
+pub const LAYER_GRADIENTS_WIDE: Kernel = Kernel {
+    bindings: LAYER_BINDINGS,
+    workgroup_size: 8,
+    ..kernel_of!(
+        "layer_gradients_wide",
+        "types",
+        "training",
+        "layer_sums",
+        "layer_gradients_wide"
+    )
+};
+
+const LAYER_BINDINGS: &[Binding] = &[
+    bind::<LayerParams>("layer", Access::Uniform),
+    bind::<u32>("counters", Access::Read),
+    bind::<Quad>("layer_inputs", Access::Read),
+    bind::<Quad>("output_gradients", Access::Read),
+    bind::<Block>("weight_gradients", Access::ReadWrite),
+];
+
+/// Adds the gradients of points to the nodes around them that one part holds; any number of threads.
 pub const SCATTER_GRADIENTS: Kernel = Kernel {
     bindings: &[
-        bind::<TrainParams>("params", Access::Uniform),
+        bind::<PartParams>("part", Access::Uniform),
         bind::<Level>("levels", Access::Read),
         bind::<u32>("brick_index", Access::Read),
         bind::<u32>("counters", Access::Read),
@@ -236,6 +263,38 @@ pub const SCATTER_GRADIENTS: Kernel = Kernel {
     )
 };
 
+/// Gradients by the poses of views through the nodes that one part holds; one thread a ray.
+pub const POSE_GRADIENTS: Kernel = Kernel {
+    bindings: &[
+        bind::<TrainParams>("params", Access::Uniform),
+        bind::<PartParams>("part", Access::Uniform),
+        bind::<Level>("levels", Access::Read),
+        bind::<u32>("brick_index", Access::Read),
+        bind::<f32>("density", Access::Read),
+        bind::<Quad>("features_a", Access::Read),
+        bind::<Quad>("features_b", Access::Read),
+        bind::<Quad>("features_c", Access::Read),
+        bind::<RayTarget>("targets", Access::Read),
+        bind::<RaySummary>("summaries", Access::Read),
+        bind::<u32>("first_points", Access::Read),
+        bind::<GradientPoint>("points", Access::Read),
+        bind::<Quad>("slot_gradients", Access::Read),
+        bind::<View>("views", Access::Read),
+        bind::<u32>("view_sums", Access::ReadWrite),
+    ],
+    workgroup_size: 64,
+    ..kernel_of!(
+        "pose_gradients",
+        "types",
+        "lattice",
+        "training",
+        "angles",
+        "rotation",
+        "view_sums",
+        "pose_gradients"
+    )
+};
+
 /// Sums of a step's rays; one workgroup.
 pub const SUM_STEP: Kernel = Kernel {
     bindings: &[
@@ -248,10 +307,11 @@ pub const SUM_STEP: Kernel = Kernel {
     ..kernel_of!("sum_step", "types", "training", "sum_step")
 };
 
-/// Moves the nodes of touched bricks against their gradients; any number of workgroups.
+/// Moves the nodes of one part's touched bricks against their gradients; any number of workgroups.
 pub const STEP_BRICKS: Kernel = Kernel {
     bindings: &[
         bind::<TrainParams>("params", Access::Uniform),
+        bind::<PartParams>("part", Access::Uniform),
         bind::<StepState>("state", Access::Read),
         bind::<u32>("touched_bricks", Access::Read),
         bind::<f32>("density", Access::ReadWrite),
@@ -267,6 +327,7 @@ pub const STEP_BRICKS: Kernel = Kernel {
         bind::<u32>("brick_marks", Access::ReadWrite),
     ],
     workgroup_size: 64,
+    parameters: &["DECAY", "EPSILON"],
     ..kernel_of!("step_bricks", "types", "training", "step_bricks")
 };
 
@@ -280,7 +341,8 @@ pub const STEP_NETWORK: Kernel = Kernel {
         bind::<f32>("network", Access::ReadWrite),
     ],
     workgroup_size: 64,
-    ..kernel_of!("step_network", "types", "training", "step_network")
+    parameters: &["BETA_1", "BETA_2", "EPSILON"],
+    ..kernel_of!("step_network", "types", "training", "adam", "step_network")
 };
 
 /// Moves the sky's texels against their gradients; any number of threads.
@@ -293,13 +355,38 @@ pub const STEP_SKY: Kernel = Kernel {
         bind::<f32>("sky_logits", Access::ReadWrite),
     ],
     workgroup_size: 64,
+    parameters: &["DECAY"],
     ..kernel_of!("step_sky", "types", "training", "step_sky")
 };
 
-/// Gradients of the touched bricks' total variation; any number of workgroups.
+/// Moves the corrections of views against their gradients; one workgroup.
+pub const STEP_VIEWS: Kernel = Kernel {
+    bindings: &[
+        bind::<TrainParams>("params", Access::Uniform),
+        bind::<StepState>("state", Access::Read),
+        bind::<View>("views", Access::ReadWrite),
+        bind::<u32>("view_sums", Access::ReadWrite),
+        bind::<Moments>("moments", Access::ReadWrite),
+    ],
+    workgroup_size: 64,
+    parameters: &["BETA_1", "BETA_2", "EPSILON", "ARM_M"],
+    ..kernel_of!(
+        "step_views",
+        "types",
+        "training",
+        "angles",
+        "rotation",
+        "adam",
+        "step_views"
+    )
+};
+
+/// Gradients of the total variation between one part's touched bricks and what a part holds; any number of workgroups.
 pub const BRICK_VARIATION: Kernel = Kernel {
     bindings: &[
         bind::<TrainParams>("params", Access::Uniform),
+        bind::<PartParams>("part", Access::Uniform),
+        bind::<PartParams>("other_part", Access::Uniform),
         bind::<Level>("levels", Access::Read),
         bind::<u32>("brick_index", Access::Read),
         bind::<BrickPlace>("brick_places", Access::Read),
@@ -308,6 +395,10 @@ pub const BRICK_VARIATION: Kernel = Kernel {
         bind::<Quad>("features_a", Access::Read),
         bind::<Quad>("features_b", Access::Read),
         bind::<Quad>("features_c", Access::Read),
+        bind::<f32>("other_density", Access::Read),
+        bind::<Quad>("other_features_a", Access::Read),
+        bind::<Quad>("other_features_b", Access::Read),
+        bind::<Quad>("other_features_c", Access::Read),
         bind::<f32>("density_gradients", Access::ReadWrite),
         bind::<Quad>("gradients_a", Access::ReadWrite),
         bind::<Quad>("gradients_b", Access::ReadWrite),
@@ -323,10 +414,11 @@ pub const BRICK_VARIATION: Kernel = Kernel {
     )
 };
 
-/// Moves the nodes of touched bricks against those; any number of workgroups.
+/// Moves the nodes of one part's touched bricks against those; any number of workgroups.
 pub const SMOOTH_BRICKS: Kernel = Kernel {
     bindings: &[
         bind::<TrainParams>("params", Access::Uniform),
+        bind::<PartParams>("part", Access::Uniform),
         bind::<StepState>("state", Access::Read),
         bind::<u32>("touched_bricks", Access::Read),
         bind::<f32>("density", Access::ReadWrite),

@@ -5,18 +5,18 @@ use std::mem::offset_of;
 
 use backlot_shaders::kernels;
 use backlot_shaders::layout::{
-    Block, BrickPlace, Exposure, ExposureGradient, GradientPoint, LayerParams, Level, MarchParams,
-    Moments, Ray, RayLoss, RaySample, RaySummary, RayTarget, SkyGrid, SlotSample, StepState,
-    TrainParams,
+    Block, BrickPlace, GradientPoint, LayerParams, Level, MarchParams, Moments, PartParams, Ray,
+    RayLoss, RaySample, RaySummary, RayTarget, SkyGrid, SlotSample, StepState, TrainParams, View,
 };
 
 use backlot_shaders::scene_layout::{
-    EyeParams, ObjectBox, PartParams, RayHit, RayPairs, RayRequest, SampleList, SceneParams,
-    SlotRange, Weighted,
+    EyeParams, ObjectBox, RayHit, RayPairs, RayRequest, SampleList, SceneParams, SlotRange,
+    Weighted,
 };
 
 /// Structs that never leave a kernel, so they have no mirror.
-const INTERNAL: [&str; 11] = [
+const INTERNAL: [&str; 14] = [
+    "ByExposure",
     "Corners",
     "Features",
     "Light",
@@ -26,8 +26,10 @@ const INTERNAL: [&str; 11] = [
     "Slopes",
     "Space",
     "TileRow",
+    "Tiles",
     "Totals",
     "Walk",
+    "WideRow",
 ];
 /// What naga declares for compare-and-exchange.
 const PREDECLARED: &str = "__atomic_compare_exchange_result";
@@ -91,8 +93,13 @@ fn mirrors() -> BTreeMap<String, Layout> {
             sky_rate,
             density_variation_rate,
             feature_variation_rate,
-            has_exposures,
-            learns_poses,
+            view_count,
+            exposure_rate,
+            pose_rate,
+            exposure_prior,
+            pose_prior,
+            first_touched,
+            touched_end,
             trim_quantile,
             sky_texel_count
         }),
@@ -101,7 +108,7 @@ fn mirrors() -> BTreeMap<String, Layout> {
             view, mirrored
         } padded by padding),
         mirror!(SlotSample { ray, t }),
-        mirror!(GradientPoint { position_m, raw, slot, ray } padded by padding),
+        mirror!(GradientPoint { position_m, raw, slot } padded by padding),
         mirror!(SkyGrid {
             width,
             height,
@@ -123,8 +130,12 @@ fn mirrors() -> BTreeMap<String, Layout> {
             finite_steps,
             diverged
         }),
-        mirror!(Exposure { log_gain, bias }),
-        mirror!(ExposureGradient { log_gain, bias }),
+        mirror!(View {
+            log_gain,
+            bias,
+            rotation,
+            translation_m
+        }),
         mirror!(Moments { mean, square }),
         mirror!(BrickPlace { position, level }),
         mirror!(LayerParams {
@@ -164,7 +175,8 @@ fn mirrors() -> BTreeMap<String, Layout> {
         mirror!(PartParams {
             level_count,
             first_node,
-            node_count
+            node_count,
+            first_density
         }),
     ])
 }

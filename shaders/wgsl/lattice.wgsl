@@ -1,8 +1,5 @@
 // Nodes and trilinear weights in a pyramid of brick-sparse lattices.
 
-// Nodes of a brick, x fastest.
-const NODES_PER_BRICK: u32 = 512u;
-
 // The eight nodes around a point and their weights; corner c has bit 0 for x, 1 for y, 2 for z. A node below NODES_PER_BRICK is
 // one of the null brick: nothing is stored there, and it is 0.
 struct Corners {

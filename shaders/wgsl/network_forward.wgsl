@@ -1,6 +1,8 @@
-// Colours of coloured samples, with the activations that the backward pass needs; one thread a sample, as many times as it takes.
+// Colours of coloured samples, with the activations that a backward pass needs; one thread a sample, as many times as it takes.
 
 override WORKGROUP_SIZE: u32;
+// Whether activations are stored for a backward pass.
+override KEEPS_HIDDEN: bool;
 
 @group(0) @binding(0) var<uniform> layer_1: array<mat4x4<f32>, 320>;
 @group(0) @binding(1) var<uniform> layer_2: array<mat4x4<f32>, 1024>;
@@ -32,12 +34,16 @@ fn forward(slot: u32) {
     for (var row = 0u; row < WIDTH_BLOCKS; row++) {
         let neurons = hidden_1(row, &inputs);
         hidden[row] = neurons;
-        hidden_a[first + row] = neurons;
+        if KEEPS_HIDDEN {
+            hidden_a[first + row] = neurons;
+        }
     }
     var sum = layer_3[2u * WIDTH_BLOCKS][0];
     for (var row = 0u; row < WIDTH_BLOCKS; row++) {
         let neurons = hidden_2(row, &hidden);
-        hidden_b[first + row] = neurons;
+        if KEEPS_HIDDEN {
+            hidden_b[first + row] = neurons;
+        }
         sum += layer_3[row] * neurons;
     }
     slot_colors[slot] = color_of(sum);

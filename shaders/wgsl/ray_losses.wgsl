@@ -16,13 +16,19 @@ const MIN_SKY: f32 = 1e-3;
 @group(0) @binding(8) var<storage, read> slot_colors: array<vec4<f32>>;
 @group(0) @binding(9) var<storage, read> sky_grids: array<SkyGrid>;
 @group(0) @binding(10) var<storage, read> sky_logits: array<f32>;
-@group(0) @binding(11) var<storage, read> exposures: array<Exposure>;
+@group(0) @binding(11) var<storage, read> views: array<View>;
 @group(0) @binding(12) var<storage, read_write> slot_color_gradients: array<vec4<f32>>;
 @group(0) @binding(13) var<storage, read_write> points: array<GradientPoint>;
 @group(0) @binding(14) var<storage, read_write> sky_gradients: array<atomic<u32>>;
 @group(0) @binding(15) var<storage, read_write> ray_losses_out: array<RayLoss>;
-@group(0) @binding(16) var<storage, read_write> exposure_gradients: array<ExposureGradient>;
+@group(0) @binding(16) var<storage, read_write> view_sums: array<atomic<u32>>;
 @group(0) @binding(17) var<storage, read> state: StepState;
+
+// Derivatives by the exposure of a ray's view.
+struct ByExposure {
+    log_gain: vec3<f32>,
+    bias: vec3<f32>,
+}
 
 // Sums along a ray.
 struct Totals {
@@ -64,7 +70,7 @@ fn ray_losses(@builtin(global_invocation_id) id: vec3<u32>) {
     let end = max(1.0 - totals.accumulation, 0.0);
     var out = RayLoss(0.0, 0.0, -1.0, 0u);
     var slopes: Slopes;
-    var by_exposure: ExposureGradient;
+    var by_exposure: ByExposure;
     if targets[ray].color_weight > 0.0 {
         color_slopes(ray, totals, end, &slopes, &out, &by_exposure);
     }
@@ -76,8 +82,12 @@ fn ray_losses(@builtin(global_invocation_id) id: vec3<u32>) {
     }
     differentiate(ray, first, count, totals, slopes, &out, &by_exposure);
     ray_losses_out[params.first_ray + ray] = out;
-    if params.has_exposures != 0u {
-        exposure_gradients[params.first_ray + ray] = by_exposure;
+    if params.view_count > 0u {
+        let first_sum = VIEW_SUMS * targets[ray].view;
+        for (var c = 0u; c < 3u; c++) {
+            add_to_view(first_sum + BY_LOG_GAIN + c, by_exposure.log_gain[c]);
+            add_to_view(first_sum + BY_BIAS + c, by_exposure.bias[c]);
+        }
     }
 }
 
@@ -111,7 +121,7 @@ fn color_slopes(
     end: f32,
     slopes: ptr<function, Slopes>,
     out: ptr<function, RayLoss>,
-    by_exposure: ptr<function, ExposureGradient>,
+    by_exposure: ptr<function, ByExposure>,
 ) {
     let goal = targets[ray];
     var behind = goal.backdrop;
@@ -141,10 +151,10 @@ fn color_slopes(
 
 // The colour as a view recorded it.
 fn exposed(view: u32, color: vec3<f32>) -> vec3<f32> {
-    if params.has_exposures == 0u {
+    if params.view_count == 0u {
         return color;
     }
-    return gain_of(exposures[view].log_gain.xyz) * color + exposures[view].bias.xyz;
+    return gain_of(views[view].log_gain.xyz) * color + views[view].bias.xyz;
 }
 
 fn gain_of(log_gain: vec3<f32>) -> vec3<f32> {
@@ -156,14 +166,14 @@ fn before_exposure(
     view: u32,
     color: vec3<f32>,
     by_exposed: vec3<f32>,
-    by_exposure: ptr<function, ExposureGradient>,
+    by_exposure: ptr<function, ByExposure>,
 ) -> vec3<f32> {
-    if params.has_exposures == 0u {
+    if params.view_count == 0u {
         return by_exposed;
     }
-    let gain = gain_of(exposures[view].log_gain.xyz);
-    (*by_exposure).log_gain += vec4<f32>(gain * color * by_exposed, 0.0);
-    (*by_exposure).bias += vec4<f32>(by_exposed, 0.0);
+    let gain = gain_of(views[view].log_gain.xyz);
+    (*by_exposure).log_gain += gain * color * by_exposed;
+    (*by_exposure).bias += by_exposed;
     return gain * by_exposed;
 }
 
@@ -240,7 +250,7 @@ fn differentiate(
     totals: Totals,
     slopes: Slopes,
     out: ptr<function, RayLoss>,
-    by_exposure: ptr<function, ExposureGradient>,
+    by_exposure: ptr<function, ByExposure>,
 ) {
     let goal = targets[ray];
     let end = max(1.0 - totals.accumulation, 0.0);
@@ -281,7 +291,7 @@ fn differentiate(
         transmittance += weight;
         let raw = by_tau * sample.dt * density_slope(sample.sigma);
         let place = rays[ray].origin_m + rays[ray].direction * sample.t;
-        points[first_points[ray] + count - k] = GradientPoint(place, raw, slot, ray);
+        points[first_points[ray] + count - k] = GradientPoint(place, raw, slot);
     }
 }
 

@@ -1,8 +1,8 @@
-// Adds the points' gradients to the nodes around them; one thread a point, as many times as it takes.
+// Adds the points' gradients to those of the nodes around them that one part holds; one thread a point, as many times as it takes.
 
 override WORKGROUP_SIZE: u32;
 
-@group(0) @binding(0) var<uniform> params: TrainParams;
+@group(0) @binding(0) var<uniform> part: PartParams;
 @group(0) @binding(1) var<storage, read> levels: array<Level>;
 @group(0) @binding(2) var<storage, read> brick_index: array<u32>;
 @group(0) @binding(3) var<storage, read> counters: array<u32>;
@@ -30,7 +30,7 @@ fn scatter_gradients(
         if point.raw == 0.0 && point.slot == NO_SLOT {
             continue;
         }
-        for (var l = 0u; l < params.level_count; l++) {
+        for (var l = 0u; l < part.level_count; l++) {
             scatter(point, corners_at(levels[l], point.position_m));
         }
     }
@@ -39,10 +39,11 @@ fn scatter_gradients(
 fn scatter(point: GradientPoint, corners: Corners) {
     var last_brick = 0u;
     for (var corner = 0u; corner < 8u; corner++) {
-        let node = corners.nodes[corner];
-        let brick = node / NODES_PER_BRICK;
+        let brick = corners.nodes[corner] / NODES_PER_BRICK;
+        // Wraps for nodes of the parts before: they are then beyond this one.
+        let node = corners.nodes[corner] - part.first_node;
         // The null brick never learns.
-        if brick == 0u {
+        if brick == 0u || node >= part.node_count {
             continue;
         }
         if brick != last_brick {

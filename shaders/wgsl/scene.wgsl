@@ -110,13 +110,6 @@ struct RayHit {
     z_per_m: f32,
 }
 
-// Nodes that one part of the features holds.
-struct PartParams {
-    level_count: u32,
-    first_node: u32,
-    node_count: u32,
-}
-
 // Slots that hold a list's coloured samples.
 struct SlotRange {
     first: u32,

@@ -3,7 +3,7 @@
 
 override WORKGROUP_SIZE: u32;
 
-@group(0) @binding(0) var<uniform> params: PartParams;
+@group(0) @binding(0) var<uniform> part: PartParams;
 @group(0) @binding(1) var<storage, read> levels: array<Level>;
 @group(0) @binding(2) var<storage, read> brick_index: array<u32>;
 @group(0) @binding(3) var<storage, read> features_a: array<vec4<f32>>;
@@ -23,28 +23,14 @@ fn scene_features(
     for (var slot = id.x; slot < count; slot += groups.x * WORKGROUP_SIZE) {
         let sample = slot_samples[slot];
         let point = rays[sample.ray].origin_m + rays[sample.ray].direction * sample.t;
-        var a = vec4<f32>(0.0);
-        var b = vec4<f32>(0.0);
-        var c = vec4<f32>(0.0);
-        if params.first_node > 0u {
-            a = slot_features[3u * slot];
-            b = slot_features[3u * slot + 1u];
-            c = slot_features[3u * slot + 2u];
+        let first = 3u * slot;
+        var features: Features;
+        if part.first_node > 0u {
+            features = Features(slot_features[first], slot_features[first + 1u], slot_features[first + 2u]);
         }
-        for (var l = 0u; l < params.level_count; l++) {
-            let corners = corners_at(levels[l], point);
-            for (var corner = 0u; corner < 8u; corner++) {
-                // Wraps for nodes of the parts before: they are then beyond this one.
-                let node = corners.nodes[corner] - params.first_node;
-                if corners.stored && node < params.node_count {
-                    a += features_a[node] * corners.weights[corner];
-                    b += features_b[node] * corners.weights[corner];
-                    c += features_c[node] * corners.weights[corner];
-                }
-            }
-        }
-        slot_features[3u * slot] = a;
-        slot_features[3u * slot + 1u] = b;
-        slot_features[3u * slot + 2u] = c;
+        features = add_part(features, point);
+        slot_features[first] = features.a;
+        slot_features[first + 1u] = features.b;
+        slot_features[first + 2u] = features.c;
     }
 }

@@ -1,7 +1,4 @@
-// The far field: colour logits over directions, grids coarse to fine. Arctangent and arcsine in plain arithmetic, as the
-// built-in ones may be off by a tenth of a texel.
-
-const PI: f32 = 3.1415927;
+// The far field: colour logits over directions, grids coarse to fine.
 
 // The four texels around a direction, numbered over all grids, and their bilinear weights.
 struct SkyTexels {
@@ -37,24 +34,4 @@ fn sky_color(direction: vec3<f32>) -> vec3<f32> {
         }
     }
     return vec3<f32>(sigmoid(sum.x), sigmoid(sum.y), sigmoid(sum.z));
-}
-
-// Angle of the vector (x, y) in -pi..pi.
-fn arctangent(y: f32, x: f32) -> f32 {
-    let low = min(abs(x), abs(y));
-    let high = max(abs(x), abs(y));
-    let ratio = select(0.0, low / high, high > 0.0);
-    // Half the angle twice: tan(a / 2) = t / (1 + sqrt(1 + t^2)), below 0.2 after that, where the series is short.
-    let half = ratio / (1.0 + sqrt(1.0 + ratio * ratio));
-    let quarter = half / (1.0 + sqrt(1.0 + half * half));
-    let q = quarter * quarter;
-    let series = quarter - quarter * q * (1.0 / 3.0 - q * (1.0 / 5.0 - q * (1.0 / 7.0 - q * (1.0 / 9.0 - q * (1.0 / 11.0)))));
-    var angle = 4.0 * series;
-    if abs(y) > abs(x) {
-        angle = 0.5 * PI - angle;
-    }
-    if x < 0.0 {
-        angle = PI - angle;
-    }
-    return select(angle, -angle, y < 0.0);
 }

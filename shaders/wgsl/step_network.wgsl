@@ -2,17 +2,6 @@
 
 override WORKGROUP_SIZE: u32;
 
-// DVGO's decay rates.
-const BETA_1: f32 = 0.9;
-const BETA_2: f32 = 0.99;
-const EPSILON: f32 = 1e-8;
-
-// A weight's optimiser state.
-struct Moments {
-    mean: f32,
-    square: f32,
-}
-
 @group(0) @binding(0) var<uniform> params: TrainParams;
 @group(0) @binding(1) var<storage, read> state: StepState;
 @group(0) @binding(2) var<storage, read_write> weight_gradients: array<f32>;
@@ -31,10 +20,8 @@ fn step_network(@builtin(global_invocation_id) id: vec3<u32>) {
         weight_gradients[at] = 0.0;
     }
     if state.diverged == 0u {
-        var own = moments[id.x];
-        own.mean += (1.0 - BETA_1) * (gradient - own.mean);
-        own.square += (1.0 - BETA_2) * (gradient * gradient - own.square);
+        let own = advanced(moments[id.x], gradient);
         moments[id.x] = own;
-        network[id.x] -= params.network_rate * own.mean / (sqrt(own.square) + EPSILON);
+        network[id.x] += adam_step(own, params.network_rate);
     }
 }

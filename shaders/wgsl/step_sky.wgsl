@@ -3,7 +3,7 @@
 override WORKGROUP_SIZE: u32;
 
 // Decay of the squared gradients' running mean.
-const DECAY: f32 = 0.95;
+override DECAY: f32;
 
 @group(0) @binding(0) var<uniform> params: TrainParams;
 @group(0) @binding(1) var<storage, read> state: StepState;

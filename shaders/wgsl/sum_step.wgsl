@@ -69,6 +69,10 @@ fn find_trim(thread: u32, rank: u32) {
 }
 
 fn write_state() {
+    // What diverged is told as it was.
+    if state.diverged != 0u {
+        return;
+    }
     state.squared_error = squared_errors[0];
     state.loss = losses[0];
     state.color_rays = color_rays[0];
@@ -80,5 +84,5 @@ fn write_state() {
     if !is_finite {
         state.diverged = 1u;
     }
-    state.finite_steps += u32(state.diverged == 0u);
+    state.finite_steps += u32(is_finite);
 }

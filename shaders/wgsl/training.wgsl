@@ -50,10 +50,17 @@ struct TrainParams {
     sky_rate: f32,
     density_variation_rate: f32,
     feature_variation_rate: f32,
-    // 1: views' exposures apply.
-    has_exposures: u32,
-    // 1: views' poses are learned.
-    learns_poses: u32,
+    // Views with corrections, of exposure and pose; 0 while none are learned.
+    view_count: u32,
+    // Adam's, its bias corrections included; 0 leaves exposures or poses as they are.
+    exposure_rate: f32,
+    pose_rate: f32,
+    // How strongly both are drawn to the recorded ones.
+    exposure_prior: f32,
+    pose_prior: f32,
+    // The part of the list of touched bricks that is moved.
+    first_touched: u32,
+    touched_end: u32,
     // Quantile of the range errors that the next step takes for outliers; 0 keeps depth_trim_m.
     trim_quantile: f32,
     sky_texel_count: u32,
@@ -88,7 +95,6 @@ struct GradientPoint {
     raw: f32,
     // Row of the feature gradients, or NO_SLOT.
     slot: u32,
-    ray: u32,
 }
 
 // One latitude-longitude grid of the sky.
@@ -126,17 +132,23 @@ struct StepState {
     diverged: u32,
 }
 
-// A view's exposure: color' = exp(log_gain) color + bias; the fourth components mean nothing.
-struct Exposure {
+// What is corrected about a view; fourth components mean nothing but in the rotation. Exposure: color' = exp(log_gain) color + bias.
+// Pose, in the field's frame: p' = rotation p + translation_m, the rotation as a quaternion whose real part comes last.
+struct View {
     log_gain: vec4<f32>,
     bias: vec4<f32>,
+    rotation: vec4<f32>,
+    translation_m: vec4<f32>,
 }
 
-// A ray's gradient by its view's exposure.
-struct ExposureGradient {
-    log_gain: vec4<f32>,
-    bias: vec4<f32>,
-}
+// What each view sums: gradients by log gain, bias, a small rotation after the present one (rad) and the translation, then whether it has
+// had a ray.
+const VIEW_SUMS: u32 = 13u;
+const BY_LOG_GAIN: u32 = 0u;
+const BY_BIAS: u32 = 3u;
+const BY_ROTATION: u32 = 6u;
+const BY_TRANSLATION: u32 = 9u;
+const IS_SEEN: u32 = 12u;
 
 // One layer of the colour network, for the gradient of its weights.
 struct LayerParams {

@@ -1,7 +1,8 @@
 // Records shared with the host: the host's mirror of each struct is in src/layout.rs, checked against this file.
 
-// Nodes along one edge of a brick; a brick holds BRICK_SIDE^3 node values, x fastest.
+// Nodes along one edge of a brick, and all of its nodes, x fastest.
 override BRICK_SIDE: u32;
+override NODES_PER_BRICK: u32;
 
 // One lattice level of a density pyramid. Node (i, j, k) of the level lies at origin_m + (i, j, k) * voxel_m.
 struct Level {
@@ -11,6 +12,15 @@ struct Level {
     bricks: vec3<u32>,
     // Where the level's dense brick index starts in brick_index; its entries number the bricks of all levels together.
     index_start: u32,
+}
+
+// A range of the nodes: what no binding holds as a whole is taken part by part.
+struct PartParams {
+    level_count: u32,
+    first_node: u32,
+    node_count: u32,
+    // First node of the binding that holds the part's densities, for kernels that have one.
+    first_density: u32,
 }
 
 // A stored block of 8^3 occupancy cells.

@@ -25,15 +25,3 @@ fn view_inputs(direction: vec3<f32>) -> array<vec4<f32>, VIEW_QUADS> {
         vec4<f32>(cos_1.z, cos_2.z, cos_4.z, cos_8.z),
     );
 }
-
-// Taylor's series, below 1e-8 from the sine in -1..1.
-fn sine(x: vec3<f32>) -> vec3<f32> {
-    let q = x * x;
-    return x + x * q * (-1.0 / 6.0 + q * (1.0 / 120.0 + q * (-1.0 / 5040.0 + q * (1.0 / 362880.0 - q * (1.0 / 39916800.0)))));
-}
-
-// Taylor's series, below 1e-8 from the cosine in -1..1.
-fn cosine(x: vec3<f32>) -> vec3<f32> {
-    let q = x * x;
-    return 1.0 + q * (-0.5 + q * (1.0 / 24.0 + q * (-1.0 / 720.0 + q * (1.0 / 40320.0 - q * (1.0 / 3628800.0)))));
-}

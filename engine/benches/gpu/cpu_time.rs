@@ -37,7 +37,7 @@ impl Measurement for CpuTime {
 }
 
 /// Sum of what the scheduler gave each thread, nanoseconds first in its record.
-fn now() -> Duration {
+pub(crate) fn now() -> Duration {
     let threads = fs::read_dir("/proc/self/task").expect("processor time is read from /proc");
     let of = |thread: std::io::Result<fs::DirEntry>| -> Option<u64> {
         let record = fs::read_to_string(thread.ok()?.path().join("schedstat")).ok()?;

@@ -14,6 +14,8 @@ pub(in crate::backend) struct Stages {
     pub(in crate::backend) network: Vec<f32>,
     /// By the logits of all the sky's grids.
     pub(in crate::backend) sky: Vec<f32>,
+    /// By every view's log gain, bias, rotation and translation, if views are corrected.
+    pub(in crate::backend) views: Vec<[f32; 12]>,
     pub(in crate::backend) color_rays: u64,
     pub(in crate::backend) squared_error: f64,
     pub(in crate::backend) loss: f64,

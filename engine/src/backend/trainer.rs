@@ -190,7 +190,7 @@ fn not_finite(squared_error: f64, loss: f64) -> Option<&'static str> {
 }
 
 /// The value below which the share `q` of `values` lies; infinite for none.
-fn quantile(values: &[f32], q: f64) -> f32 {
+pub(super) fn quantile(values: &[f32], q: f64) -> f32 {
     let mut sorted = values.to_vec();
     sorted.sort_by(f32::total_cmp);
     let at = (values.len() as f64 * q) as usize;

@@ -42,7 +42,7 @@ pub(super) struct SkyOptimizer {
 }
 
 /// Decay of the squared gradients' running mean.
-const SKY_DECAY: f32 = 0.95;
+pub(in crate::backend) const SKY_DECAY: f32 = 0.95;
 
 impl SkyOptimizer {
     pub(super) fn step(&mut self, sky: &mut SkyMap, chunks: &[Chunk], rate: f32) {

@@ -17,7 +17,7 @@ pub(in crate::backend) mod mirror;
 pub(crate) mod mlp;
 pub(crate) mod prefetch;
 mod ray_losses;
-mod scatter;
+pub(in crate::backend) mod scatter;
 pub(crate) mod simd;
 #[cfg(all(test, feature = "gpu"))]
 mod stage_record;
@@ -25,7 +25,7 @@ mod stage_record;
 pub(in crate::backend) mod tests;
 mod trainer;
 mod variation;
-mod view_corrections;
+pub(in crate::backend) mod view_corrections;
 
 pub(crate) use chunk::NO_SLOT;
 pub use simd::Simd;

@@ -14,9 +14,9 @@ use crate::field::lattice::{BRICK_NODES, BRICK_SIDE, FEATURES, Lattice};
 use crate::train::ray::Rates;
 
 /// Decay of the squared gradients' running mean.
-const DECAY: f32 = 0.95;
+pub(in crate::backend) const DECAY: f32 = 0.95;
 /// Added to the root of the mean square, or a gradient of nothing would move a parameter by the full rate.
-const EPSILON: f32 = 1e-10;
+pub(in crate::backend) const EPSILON: f32 = 1e-10;
 
 /// Optimiser state of one level: RMSProp with one second moment per node for density and one for its 12 features.
 #[derive(Clone, Debug, Default)]

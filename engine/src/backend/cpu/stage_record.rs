@@ -20,6 +20,7 @@ impl Scene {
             rays: self.ray_stages(&chunk),
             network: single(at.mlp..at.sky),
             sky: single(at.sky..at.views),
+            views: single(at.views..dense.len()).as_chunks().0.to_vec(),
             color_rays: chunk.sums.color_rays,
             squared_error: chunk.sums.squared_error,
             loss: chunk.sums.loss,

@@ -15,7 +15,7 @@ use crate::train::ray::{Rates, RayLosses, TrainRay};
 use crate::volume::{Exposure, ExposureGradient};
 
 /// Rotations move by the pose rate over this arm: half a car, so that both move its surface alike.
-const ARM_M: f32 = 2.0;
+pub(in crate::backend) const ARM_M: f32 = 2.0;
 
 /// What is corrected about one view.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]

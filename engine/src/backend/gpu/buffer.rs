@@ -5,7 +5,7 @@ use std::sync::mpsc;
 
 use bytemuck::{AnyBitPattern, NoUninit};
 
-use super::device::Device;
+use super::device::{Device, Held};
 use super::error::Error;
 
 /// A device buffer of `len` values of `T`.
@@ -15,6 +15,7 @@ pub(super) struct Buffer<T> {
     label: &'static str,
     len: usize,
     usage: wgpu::BufferUsages,
+    _held: Held,
     element: PhantomData<T>,
 }
 
@@ -61,12 +62,24 @@ impl<T: NoUninit + AnyBitPattern> Buffer<T> {
             usage: usage | wgpu::BufferUsages::COPY_DST | wgpu::BufferUsages::COPY_SRC,
             mapped_at_creation: false,
         };
-        let raw = device.checked(label, || device.device.create_buffer(&descriptor))?;
+        let raw = device
+            .checked(label, || device.device.create_buffer(&descriptor))
+            .map_err(|error| match error {
+                Error::OutOfMemory {
+                    stage, held_bytes, ..
+                } => Error::OutOfMemory {
+                    stage,
+                    needed_bytes: bytes,
+                    held_bytes,
+                },
+                other => other,
+            })?;
         Ok(Self {
             raw,
             label,
             len,
             usage,
+            _held: device.hold(descriptor.size),
             element: PhantomData,
         })
     }
@@ -96,6 +109,7 @@ impl<T: NoUninit + AnyBitPattern> Buffer<T> {
         // The old buffer goes first, so that both need not fit; without a new one it holds nothing.
         self.raw.destroy();
         self.len = 0;
+        self._held = device.hold(0);
         let wanted = len.next_power_of_two().min(most);
         *self = Self::zeroed(device, self.label, wanted, self.usage)?;
         Ok(())
@@ -140,9 +154,17 @@ impl<T: NoUninit + AnyBitPattern> Buffer<T> {
     /// # Errors
     /// [`Error::Lost`] and what else the driver says.
     pub(super) fn read(&self, device: &Device, len: usize) -> Result<Vec<T>, Error> {
+        self.read_at(device, 0, len)
+    }
+
+    /// [`Self::read`] of the values from `at` on.
+    ///
+    /// # Errors
+    /// As [`Self::read`].
+    pub(super) fn read_at(&self, device: &Device, at: usize, len: usize) -> Result<Vec<T>, Error> {
         assert!(
-            len <= self.len,
-            "{}: reading {len} values of {}",
+            at + len <= self.len,
+            "{}: reading {len} values at {at} of {}",
             self.label,
             self.len
         );
@@ -150,6 +172,7 @@ impl<T: NoUninit + AnyBitPattern> Buffer<T> {
             return Ok(Vec::new());
         }
         let bytes = (len * size_of::<T>()) as u64;
+        let offset = (at * size_of::<T>()) as u64;
         let staging = device.checked(self.label, || {
             let staging = device.device.create_buffer(&wgpu::BufferDescriptor {
                 label: Some("readback"),
@@ -163,7 +186,7 @@ impl<T: NoUninit + AnyBitPattern> Buffer<T> {
                     .create_command_encoder(&wgpu::CommandEncoderDescriptor {
                         label: Some("readback"),
                     });
-            encoder.copy_buffer_to_buffer(&self.raw, 0, &staging, 0, bytes);
+            encoder.copy_buffer_to_buffer(&self.raw, offset, &staging, 0, bytes);
             device.queue.submit([encoder.finish()]);
             staging
         })?;

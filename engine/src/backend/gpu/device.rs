@@ -20,6 +20,8 @@ pub struct Device {
     /// Why the device was lost, once it is.
     lost: Arc<Mutex<Option<String>>>,
     dispatches: Arc<AtomicU64>,
+    /// Bytes of the buffers that exist.
+    held_bytes: Arc<AtomicU64>,
     gate: Arc<Gate>,
     pipelines: Arc<PipelineCache>,
 }
@@ -85,6 +87,7 @@ impl Device {
             info,
             lost,
             dispatches: Arc::default(),
+            held_bytes: Arc::default(),
             gate: Arc::default(),
             pipelines: Arc::default(),
         })
@@ -127,7 +130,11 @@ impl Device {
         let memory = pollster::block_on(memory.pop());
         self.alive()?;
         if memory.is_some() {
-            return Err(Error::OutOfMemory { stage });
+            return Err(Error::OutOfMemory {
+                stage,
+                needed_bytes: 0,
+                held_bytes: self.held_bytes.load(Ordering::Relaxed),
+            });
         }
         match validation.or(internal) {
             Some(error) => Err(Error::Rejected {
@@ -138,10 +145,10 @@ impl Device {
         }
     }
 
-    /// A kernel compiled for this device.
+    /// A kernel compiled for this device, with values for its parameters.
     ///
     /// # Errors
-    /// As [`Pipeline::with`].
+    /// [`Error::Rejected`] where the driver does not take the kernel.
     pub(super) fn pipeline(
         &self,
         kernel: &Kernel,
@@ -162,6 +169,15 @@ impl Device {
     pub(super) fn flush(&self) -> Result<(), Error> {
         self.queue.submit([]);
         self.wait()
+    }
+
+    /// Counts a buffer's bytes for as long as the result lives.
+    pub(super) fn hold(&self, bytes: u64) -> Held {
+        self.held_bytes.fetch_add(bytes, Ordering::Relaxed);
+        Held {
+            bytes,
+            of: Arc::clone(&self.held_bytes),
+        }
     }
 
     pub(super) fn count_dispatch(&self) {
@@ -221,6 +237,19 @@ impl Device {
     #[cfg(test)]
     pub(super) fn destroy(&self) {
         self.device.destroy();
+    }
+}
+
+/// A buffer's share of the bytes that a device holds.
+#[derive(Debug)]
+pub(super) struct Held {
+    bytes: u64,
+    of: Arc<AtomicU64>,
+}
+
+impl Drop for Held {
+    fn drop(&mut self) {
+        self.of.fetch_sub(self.bytes, Ordering::Relaxed);
     }
 }
 

@@ -25,9 +25,16 @@ pub enum Error {
         needed_bytes: u64,
         available_bytes: u64,
     },
-    /// The device has no memory left.
-    #[error("out of device memory in {stage}")]
-    OutOfMemory { stage: &'static str },
+    /// The device has no memory left. How much it has in all no driver tells; what this program holds of it is known.
+    #[error(
+        "out of device memory: {stage} needs {needed_bytes} bytes besides the {held_bytes} that are in use"
+    )]
+    OutOfMemory {
+        stage: &'static str,
+        /// 0 where it is not a buffer that does not fit.
+        needed_bytes: u64,
+        held_bytes: u64,
+    },
     /// The driver refused a call that is legal for all we know.
     #[error("{stage}: {reason}")]
     Rejected { stage: &'static str, reason: String },

@@ -10,10 +10,11 @@ use super::device::Device;
 use super::error::Error;
 use super::field::ResidentField;
 use super::pipeline::Pipeline;
+use super::turns::Priority;
 use crate::backend::{LoadedField, MarchRay, Marched, RaySummary};
 use crate::field::RaySample;
 
-/// Rays of one dispatch: some milliseconds even in software, so that others get their turn and a cancel is heeded.
+/// Rays of one dispatch: 10 to 40 ms in software, so that others get their turn and a cancel is heeded.
 const RAYS_PER_DISPATCH: usize = 8192;
 /// Bound on the sample buffer of one dispatch.
 const SAMPLE_BYTES_MAX: usize = 32 << 20;
@@ -126,6 +127,7 @@ impl LoadedField for GpuField {
         let buffers =
             DispatchBuffers::new(&self.device, rays_per_dispatch, samples_per_ray.max(1))?;
         for rays in rays.chunks(rays_per_dispatch) {
+            let _turn = self.device.turn(Priority::Render);
             if cancelled() {
                 return Err(crate::Error::Cancelled);
             }

@@ -12,7 +12,11 @@ mod sequence;
 
 mod parts;
 
+mod pace;
+
 mod field;
+
+mod features;
 
 mod march;
 
@@ -45,7 +49,6 @@ use crate::scene::{RenderOptions, RenderedFrame, Scene};
 #[derive(Clone, Debug)]
 pub struct GpuBackend {
     device: Device,
-    train_kernels: train::KernelCache,
     scenes: Arc<scene::SceneRenderer>,
 }
 
@@ -60,11 +63,7 @@ impl GpuBackend {
 
     fn on(device: Device, memory_bytes: u64) -> Result<Self, Error> {
         let scenes = Arc::new(scene::SceneRenderer::new(&device, memory_bytes)?);
-        Ok(Self {
-            device,
-            scenes,
-            train_kernels: train::KernelCache::default(),
-        })
+        Ok(Self { device, scenes })
     }
 
     /// Whether the device is gone; a new one must be opened.
@@ -77,7 +76,7 @@ impl GpuBackend {
     /// # Errors
     /// [`Error::TooLarge`] or [`Error::OutOfMemory`] where it does not fit, and [`Error::Lost`].
     pub fn open_trainer(&self, field: Field) -> Result<GpuTrainer, Error> {
-        GpuTrainer::new(self.device.clone(), &self.train_kernels, field)
+        GpuTrainer::new(self.device.clone(), field)
     }
 
     /// Bytes of the assets that stay on the device.
@@ -85,13 +84,13 @@ impl GpuBackend {
         self.scenes.resident_bytes()
     }
 
-    /// [`Self::open_trainer`] whose colour network takes four samples a thread, or one: for comparing the two.
+    /// [`Self::open_trainer`] whose colour network takes many samples a thread, or one: for comparing the two.
     ///
     /// # Errors
     /// As [`Self::open_trainer`].
     #[doc(hidden)]
-    pub fn open_variant(&self, field: Field, takes_four: bool) -> Result<GpuTrainer, Error> {
-        GpuTrainer::with_variant(self.device.clone(), field, takes_four)
+    pub fn open_variant(&self, field: Field, takes_many: bool) -> Result<GpuTrainer, Error> {
+        GpuTrainer::with_variant(self.device.clone(), field, takes_many)
     }
 
     /// Kernels dispatched on this device so far.

@@ -8,14 +8,19 @@ use super::device::Device;
 use super::error::Error;
 use crate::field::BRICK_NODES;
 
+/// Bytes of the largest value of a node, a quad of features.
+const QUAD_BYTES: usize = size_of::<[f32; 4]>();
+
 /// Values by node, in one buffer or in several of [`Self::nodes_per_part`] values each.
 #[derive(Debug)]
 pub(super) struct Parts<T> {
     parts: Vec<Buffer<T>>,
     nodes_per_part: usize,
+    nodes: usize,
 }
 
-/// Nodes of each part: all if a binding holds them, else the most whole bricks that it holds.
+/// Nodes of each part: all if a binding holds them, else as many times the whole bricks of quads that it holds as smaller values allow. So
+/// every part of quads lies within one part of the smaller values.
 ///
 /// # Errors
 /// [`Error::TooLarge`] if that takes more than `most_parts`.
@@ -30,7 +35,8 @@ pub(super) fn nodes_per_part(
     if nodes <= fit {
         return Ok(nodes.max(1));
     }
-    let whole = fit / BRICK_NODES * BRICK_NODES;
+    let whole_quads = binding_bytes as usize / QUAD_BYTES / BRICK_NODES * BRICK_NODES;
+    let whole = whole_quads * (QUAD_BYTES / node_bytes);
     if whole == 0 || nodes.div_ceil(whole) > most_parts {
         return Err(Error::TooLarge {
             what,
@@ -54,6 +60,19 @@ impl<T: NoUninit + AnyBitPattern> Parts<T> {
     ) -> Result<Self, Error> {
         let binding = device.max_binding_bytes();
         let nodes_per_part = nodes_per_part(what, nodes, size_of::<T>(), binding, most_parts)?;
+        Self::divided(device, what, nodes, nodes_per_part)
+    }
+
+    /// Zeros for `nodes` in parts of `nodes_per_part`.
+    ///
+    /// # Errors
+    /// As [`Self::zeroed`].
+    pub(super) fn divided(
+        device: &Device,
+        what: &'static str,
+        nodes: usize,
+        nodes_per_part: usize,
+    ) -> Result<Self, Error> {
         let mut parts = Vec::new();
         for start in (0..nodes.max(1)).step_by(nodes_per_part) {
             let own = nodes_per_part.min(nodes.max(1) - start);
@@ -62,7 +81,34 @@ impl<T: NoUninit + AnyBitPattern> Parts<T> {
         Ok(Self {
             parts,
             nodes_per_part,
+            nodes,
         })
+    }
+
+    /// Nodes that have a value.
+    pub(super) fn nodes(&self) -> usize {
+        self.nodes
+    }
+
+    /// The buffer that holds a node's value, and the node that is its first.
+    pub(super) fn holding(&self, node: usize) -> (&Buffer<T>, usize) {
+        let part = node / self.nodes_per_part;
+        (&self.parts[part], part * self.nodes_per_part)
+    }
+
+    /// The values of `len` nodes from node `at` on; waits for the device.
+    ///
+    /// # Errors
+    /// As [`Buffer::read`].
+    pub(super) fn read(&self, device: &Device, at: usize, len: usize) -> Result<Vec<T>, Error> {
+        let mut values = Vec::with_capacity(len);
+        while values.len() < len {
+            let at = at + values.len();
+            let (part, first) = self.holding(at);
+            let count = (len - values.len()).min(first + part.len() - at);
+            values.extend(part.read_at(device, at - first, count)?);
+        }
+        Ok(values)
     }
 
     /// Overwrites the values from node `at` on.
@@ -110,6 +156,13 @@ mod tests {
         assert_eq!(DENSE.div_ceil(density), 2);
         let features = split(16, LAVAPIPE, 64).unwrap();
         assert_eq!(DENSE.div_ceil(features), 5);
+        assert!(density.is_multiple_of(features));
+        // Not a whole number of bricks a binding.
+        let odd = (1 << 20) + 5_000;
+        assert_eq!(
+            split(4, odd, 2000).unwrap(),
+            4 * split(16, odd, 2000).unwrap()
+        );
         for (nodes, bytes) in [(density, 4), (features, 16)] {
             assert!(nodes % BRICK_NODES == 0 && (nodes * bytes) as u64 <= LAVAPIPE);
         }

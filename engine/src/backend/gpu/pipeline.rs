@@ -16,11 +16,15 @@ pub(super) struct Pipeline {
     kernel: Kernel,
 }
 
-/// Kernels that a device has compiled, by name and parameters: each is compiled once, when it is first used.
+/// Kernels that a device has compiled, by name and parameters: each is compiled once, when it is first used. Who needs one that is being
+/// compiled waits for it, and nobody else does.
 #[derive(Debug, Default)]
 pub(super) struct PipelineCache {
-    compiled: Mutex<HashMap<Key, Arc<Pipeline>>>,
+    slots: Mutex<HashMap<Key, Arc<Slot>>>,
 }
+
+/// Empty until its kernel is compiled.
+type Slot = Mutex<Option<Arc<Pipeline>>>;
 
 /// A kernel's name and the bits of its parameters.
 type Key = (&'static str, Vec<u64>);
@@ -36,13 +40,17 @@ impl PipelineCache {
     ) -> Result<Arc<Pipeline>, Error> {
         let values = parameters.iter().map(|(_, value)| value.to_bits());
         let key = (kernel.name, values.collect());
-        // A panic while compiling leaves the table as it was.
-        let mut compiled = self.compiled.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(found) = compiled.get(&key) {
+        let slot = {
+            let mut slots = self.slots.lock().unwrap_or_else(PoisonError::into_inner);
+            Arc::clone(slots.entry(key).or_default())
+        };
+        // A panic while compiling leaves the slot empty.
+        let mut compiled = slot.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(found) = &*compiled {
             return Ok(Arc::clone(found));
         }
         let pipeline = Arc::new(Pipeline::with(device, kernel, parameters)?);
-        compiled.insert(key, Arc::clone(&pipeline));
+        *compiled = Some(Arc::clone(&pipeline));
         Ok(pipeline)
     }
 }
@@ -67,19 +75,11 @@ impl Groups {
 }
 
 impl Pipeline {
-    /// Compiles `kernel` with the layout that its table row states.
+    /// Compiles `kernel` with the layout that its table row states and values for its parameters.
     ///
     /// # Errors
     /// [`Error::Rejected`] where the driver does not take the kernel.
-    pub(super) fn new(device: &Device, kernel: &Kernel) -> Result<Self, Error> {
-        Self::with(device, kernel, &[])
-    }
-
-    /// [`Self::new`] with values for the kernel's parameters.
-    ///
-    /// # Errors
-    /// As [`Self::new`].
-    pub(super) fn with(
+    fn with(
         device: &Device,
         kernel: &Kernel,
         parameters: &[(&'static str, f64)],

@@ -41,6 +41,11 @@ impl<K: Copy + Eq + Hash + Ord> Residency<K> {
         self.entries.values().map(|entry| entry.bytes).sum()
     }
 
+    /// All that is resident, in no order.
+    pub(super) fn keys(&self) -> Vec<K> {
+        self.entries.keys().copied().collect()
+    }
+
     /// Pins `key` if it is resident.
     pub(super) fn pin(&mut self, key: K) -> bool {
         self.clock += 1;

@@ -43,6 +43,11 @@ impl Turns {
         self.holder == Some(ticket)
     }
 
+    /// Whether anybody waits for a turn.
+    pub(super) fn is_wanted(&self) -> bool {
+        !self.waiting.is_empty()
+    }
+
     /// Leaves the queue, or ends the turn.
     pub(super) fn leave(&mut self, ticket: u64) {
         if self.holder == Some(ticket) {
@@ -119,6 +124,13 @@ impl Gate {
     }
 }
 
+impl Turn<'_> {
+    /// Whether anybody waits for the device.
+    pub(super) fn is_wanted(&self) -> bool {
+        self.gate.lock().is_wanted()
+    }
+}
+
 impl Drop for Turn<'_> {
     fn drop(&mut self) {
         self.gate.lock().leave(self.ticket);
@@ -138,11 +150,11 @@ mod tests {
         let running = turns.ask(Priority::Training);
         let training = turns.ask(Priority::Training);
         let render = turns.ask(Priority::Render);
-        assert!(turns.is_up(running));
+        assert!(turns.is_up(running) && turns.is_wanted());
         turns.leave(running);
         assert!(turns.is_up(render) && !turns.is_up(training));
         turns.leave(render);
-        assert!(turns.is_up(training));
+        assert!(turns.is_up(training) && !turns.is_wanted());
     }
 
     #[test]

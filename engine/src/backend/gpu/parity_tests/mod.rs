@@ -14,6 +14,12 @@ mod stages;
 
 mod steps;
 
+mod divergence;
+
+mod cancel;
+
+mod dense;
+
 mod runs;
 
 mod street;

@@ -40,6 +40,7 @@ pub(super) fn compare_stages(
     cpu: &Cpu<Stages>,
 ) -> Result<StageDeviation, String> {
     let (gpu, cpu) = (&gpu.0, &cpu.0);
+    same_shape(gpu, cpu)?;
     let mut worst = StageDeviation::default();
     for (number, (gpu, cpu)) in gpu.rays.iter().zip(&cpu.rays).enumerate() {
         compare_ray(gpu, cpu, &mut worst).map_err(|what| format!("ray {number}: {what}"))?;
@@ -71,6 +72,18 @@ pub(super) fn compare_stages(
             &mut worst,
         )?;
     }
+    if !cpu.views.is_empty() {
+        let exposures = |stages: &Stages| -> Vec<f32> {
+            let views = stages.views.iter();
+            views.flat_map(|view| view[..6].to_vec()).collect()
+        };
+        let poses = |stages: &Stages| -> Vec<f32> {
+            let views = stages.views.iter();
+            views.flat_map(|view| view[6..].to_vec()).collect()
+        };
+        gradient("exposure", &exposures(gpu), &exposures(cpu), &mut worst)?;
+        gradient("pose", &poses(gpu), &poses(cpu), &mut worst)?;
+    }
     if gpu.color_rays != cpu.color_rays {
         return Err(format!(
             "{} colour rays against {}",
@@ -80,6 +93,26 @@ pub(super) fn compare_stages(
     sum("squared error", gpu.squared_error, cpu.squared_error)?;
     sum("loss", gpu.loss, cpu.loss)?;
     Ok(worst)
+}
+
+/// Comparing in pairs leaves out what only one side has.
+fn same_shape(gpu: &Stages, cpu: &Stages) -> Result<(), String> {
+    let counts = |stages: &Stages| {
+        [
+            ("rays", stages.rays.len()),
+            ("network weights", stages.network.len()),
+            ("sky logits", stages.sky.len()),
+            ("levels of density", stages.density.len()),
+            ("levels of features", stages.features.len()),
+            ("views", stages.views.len()),
+        ]
+    };
+    for ((what, gpu), (_, cpu)) in counts(gpu).into_iter().zip(counts(cpu)) {
+        if gpu != cpu {
+            return Err(format!("{gpu} {what} against {cpu}"));
+        }
+    }
+    Ok(())
 }
 
 fn each(stages: &Stages, of: impl Fn(&StageSample) -> Vec<f32>) -> Vec<f32> {

@@ -1,16 +1,20 @@
 //! Parity of every stage of a training step: samples, weights, features, colours, losses, gradients.
 
+use backlot_shaders::SAMPLES_PER_THREAD;
+use glam::{Quat, Vec3};
+
 use super::adapter::on_adapter;
 use super::compare::{Cpu, Gpu};
 use super::stage_compare::compare_stages;
 use crate::backend::cpu::Simd;
 use crate::backend::cpu::mirror::Scene;
-use crate::backend::cpu::tests::{LOSSES, field, rays_of_all_sorts};
+use crate::backend::cpu::tests::{LOSSES, corrected_scene, field, rays_of_all_sorts};
 use crate::backend::gpu::GpuBackend;
 use crate::backend::stages::{StageColor, StageSample, Stages};
 use crate::field::ColorMlp;
 use crate::scene::Draws;
 use crate::train::ray::{DepthForm, RayLosses, Rectified};
+use crate::volume::Exposure;
 
 const RAYS: usize = 300;
 
@@ -29,7 +33,8 @@ fn scene(width: usize, losses: RayLosses) -> Scene {
 
 fn on_gpu(gpu: &GpuBackend, scene: &Scene) -> Gpu<Stages> {
     let mut trainer = gpu.open_trainer(scene.field.clone()).unwrap();
-    Gpu(trainer.stages(&scene.rays, &scene.losses).unwrap())
+    let stages = trainer.stages(&scene.rays, &scene.losses, &scene.corrections);
+    Gpu(stages.unwrap())
 }
 
 /// On the path without fused multiply-add.
@@ -69,20 +74,27 @@ fn parity_of_stages_with_networks_of_all_widths() {
 
 /// Devices use one of the two; both must be right.
 #[test]
-fn parity_of_networks_with_one_and_with_four_samples_a_thread() {
+fn parity_of_networks_with_one_and_with_many_samples_a_thread() {
     on_adapter("samples a thread", |gpu| {
-        // Not a multiple of four slots.
+        // Not a multiple of the samples of a thread.
         let mut scene = scene(16, LOSSES);
-        while on_cpu(&scene).0.colored().is_multiple_of(4) {
+        while on_cpu(&scene)
+            .0
+            .colored()
+            .is_multiple_of(SAMPLES_PER_THREAD)
+        {
             scene.rays.pop();
         }
         let cpu = on_cpu(&scene);
-        for takes_four in [false, true] {
+        for takes_many in [false, true] {
             let field = scene.field.clone();
-            let trainer = gpu.open_variant(field, takes_four);
-            let stages = trainer.unwrap().stages(&scene.rays, &scene.losses).unwrap();
+            let trainer = gpu.open_variant(field, takes_many);
+            let stages = trainer
+                .unwrap()
+                .stages(&scene.rays, &scene.losses, &[])
+                .unwrap();
             let worst = compare_stages(&Gpu(stages.clone()), &cpu).unwrap();
-            println!("four: {takes_four}, largest deviations {worst:?}");
+            println!("many: {takes_many}, largest deviations {worst:?}");
             // Broken: the last of every four slots forgotten.
             let mut wrong = Gpu(stages);
             let samples = wrong.0.rays.iter_mut().flatten();
@@ -140,6 +152,48 @@ fn parity_of_rays_that_are_trimmed() {
     agree("trimmed depth", &scene(16, losses), LOSSES);
 }
 
+#[test]
+fn parity_of_exposures_and_poses_of_views() {
+    on_adapter("exposures and poses", |gpu| {
+        let scene = corrected_scene();
+        let device = on_gpu(gpu, &scene);
+        let right = on_cpu(&scene);
+        let worst = compare_stages(&device, &right).unwrap();
+        println!("exposures and poses: largest deviations {worst:?}");
+        let broken: [(&str, fn(&mut Scene)); 4] = [
+            ("mirrored rays taken for recorded ones", |scene| {
+                scene.rays.iter_mut().for_each(|ray| ray.mirrored = false);
+            }),
+            ("exposures forgotten", |scene| {
+                let views = scene.corrections.iter_mut();
+                views.for_each(|view| view.exposure = Exposure::default());
+            }),
+            ("rotations forgotten", |scene| {
+                let views = scene.corrections.iter_mut();
+                views.for_each(|view| view.pose.rotation = Quat::IDENTITY);
+            }),
+            ("translations forgotten", |scene| {
+                let views = scene.corrections.iter_mut();
+                views.for_each(|view| view.pose.translation_m = Vec3::ZERO);
+            }),
+        ];
+        for (what, break_it) in broken {
+            let mut other = scene.clone();
+            break_it(&mut other);
+            let verdict = compare_stages(&device, &on_cpu(&other));
+            assert!(verdict.is_err(), "{what} passes: {verdict:?}");
+        }
+        for part in [0..6, 6..12] {
+            let mut wrong = right.clone();
+            for view in &mut wrong.0.views {
+                scale(&mut view[part.clone()]);
+            }
+            let verdict = compare_stages(&device, &wrong);
+            assert!(verdict.is_err(), "{part:?} a thousandth off: {verdict:?}");
+        }
+    });
+}
+
 /// Only samples whose weight is not within rounding of the threshold decide alike.
 #[test]
 fn parity_of_what_is_coloured() {
@@ -183,9 +237,15 @@ fn parity_of_stages_rejects_every_quantity_that_is_a_little_off() {
 
 type Change = fn(&mut Stages);
 
-const CHANGES: [(&str, Change); 12] = [
+const CHANGES: [(&str, Change); 14] = [
     ("a lost sample", |s| {
         s.rays[7].pop();
+    }),
+    ("a lost ray", |s| {
+        s.rays.pop();
+    }),
+    ("a lost level", |s| {
+        s.features.pop();
     }),
     ("a sample moved by a tenth of a millimetre", |s| {
         s.rays[7][3].sample.t += 1e-4

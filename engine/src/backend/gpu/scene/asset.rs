@@ -6,18 +6,18 @@ use wgpu::BufferUsages;
 use crate::backend::gpu::buffer::Buffer;
 use crate::backend::gpu::device::Device;
 use crate::backend::gpu::error::Error;
+use crate::backend::gpu::features::{self, QUADS, Quad};
 use crate::backend::gpu::field::ResidentField;
 use crate::backend::gpu::parts::Parts;
 use crate::backend::gpu::train::network::ResidentNetwork;
 use crate::field::mlp::MlpLayout;
-use crate::field::{BRICK_NODES, FEATURES, Field, Lattice, SkyMap};
+use crate::field::{Field, SkyMap};
 
 /// Density, features, colour network and sky.
 #[derive(Debug)]
 pub(super) struct ResidentAsset {
     pub(super) shape: ResidentField,
-    /// Quads of features: buffers of their own, so that few outgrow a binding.
-    pub(super) features: [Parts<[f32; 4]>; FEATURES / 4],
+    pub(super) features: [Parts<Quad>; QUADS],
     pub(super) network: ResidentNetwork,
     pub(super) network_layout: MlpLayout,
     pub(super) sky: Option<ResidentSky>,
@@ -36,11 +36,7 @@ impl ResidentAsset {
     pub(super) fn upload(device: &Device, field: &Field) -> Result<Self, Error> {
         Ok(Self {
             shape: ResidentField::upload(device, field)?,
-            features: [
-                quad(device, "features a", field.levels(), 0)?,
-                quad(device, "features b", field.levels(), 1)?,
-                quad(device, "features c", field.levels(), 2)?,
-            ],
+            features: features::upload(device, field.levels())?,
             network: ResidentNetwork::upload(device, field.mlp())?,
             network_layout: field.mlp().layout(),
             sky: field
@@ -56,38 +52,6 @@ impl ResidentAsset {
         field.memory_bytes()
     }
 }
-
-/// One quad of all nodes, levels one after the other with one null brick before them, as the bricks are numbered.
-fn quad(
-    device: &Device,
-    label: &'static str,
-    levels: &[Lattice],
-    number: usize,
-) -> Result<Parts<[f32; 4]>, Error> {
-    let stored = levels
-        .iter()
-        .map(|level| level.features().len() - BRICK_NODES);
-    let nodes = BRICK_NODES + stored.sum::<usize>();
-    let quads = Parts::zeroed(device, label, nodes, MOST_PARTS)?;
-    let mut at = BRICK_NODES;
-    let mut values = Vec::with_capacity(NODES_PER_WRITE);
-    for level in levels {
-        for part in level.features()[BRICK_NODES..].chunks(NODES_PER_WRITE) {
-            values.clear();
-            values.extend(part.iter().map(|node| node.as_chunks::<4>().0[number]));
-            quads.write(device, at, &values);
-            at += part.len();
-            // Staging memory of what was written goes back before more is taken.
-            device.flush()?;
-        }
-    }
-    Ok(quads)
-}
-
-/// Parts are gathered one after the other: more would be slower than the processor.
-const MOST_PARTS: usize = 32;
-/// 4 MiB at a time: the transposed copy of a dense background would take half a gigabyte a quad.
-const NODES_PER_WRITE: usize = 1 << 18;
 
 impl ResidentSky {
     fn upload(device: &Device, sky: &SkyMap) -> Result<Self, Error> {

@@ -3,7 +3,8 @@
 use std::ops::Range;
 
 use backlot_shaders::kernels;
-use backlot_shaders::scene_layout::{PartParams, SceneParams};
+use backlot_shaders::layout::PartParams;
+use backlot_shaders::scene_layout::SceneParams;
 
 use super::asset::ResidentAsset;
 use super::batch::Staged;
@@ -134,6 +135,7 @@ impl Staged<'_> {
                 level_count,
                 first_node: (number * asset.features[0].nodes_per_part()) as u32,
                 node_count: a.len() as u32,
+                first_density: 0,
             };
             work.part.write(self.device, &[params]);
             let buffers = [

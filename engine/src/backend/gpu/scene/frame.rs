@@ -6,7 +6,6 @@ use backlot_shaders::layout::{MarchParams, Ray, RaySample, RaySummary};
 use wgpu::BufferUsages;
 
 use super::batch::{Shown, Staged};
-use super::pace::Pace;
 use super::plan::{Outline, Pixels, Plan, Tile, tiles};
 use super::resolve::{Question, Resolved};
 use super::workspace::{Room, Workspace};
@@ -14,13 +13,17 @@ use crate::Result;
 use crate::backend::gpu::buffer::Buffer;
 use crate::backend::gpu::error::Error;
 use crate::backend::gpu::march::{march_buffers, march_kernel, to_device};
+use crate::backend::gpu::pace::Pace;
 use crate::backend::gpu::turns::Priority;
 use crate::scene::TileResult;
 
 /// Side of a tile, the least a batch can be: 256 rays and as many pairs with each object where small objects take sixteen a pixel.
 const TILE_PX: u32 = 4;
-/// Rays of one dispatch that answers questions about static objects.
-const QUESTIONS_PER_DISPATCH: usize = 1 << 14;
+/// Rays of a batch: a tile where small objects take sixteen a pixel; 64 Ki rays fill the largest card and take some 200 MiB of buffers.
+const LEAST_RAYS: usize = 256;
+const MOST_RAYS: usize = 1 << 16;
+/// Rays of one dispatch that answers questions about static objects: 10 to 40 ms of marching in software.
+const QUESTIONS_PER_DISPATCH: usize = 1 << 13;
 
 /// A frame in the making.
 pub(super) struct Frame<'a> {
@@ -57,7 +60,7 @@ impl<'a> Frame<'a> {
         let camera = &staged.scene.camera;
         let all = tiles(camera.width, camera.height, TILE_PX);
         let mut resolved = Resolved::new(staged.scene);
-        let mut pace = Pace::new();
+        let mut pace = Pace::new(LEAST_RAYS, MOST_RAYS);
         let mut rest = &all[..];
         while !rest.is_empty() {
             let most = room.most_lists(staged.device.max_binding_bytes());

@@ -12,8 +12,6 @@ mod kernels;
 
 mod workspace;
 
-mod pace;
-
 mod plan;
 
 mod eye;

@@ -66,11 +66,11 @@ impl Shelf {
     }
 
     fn lock(&self) -> MutexGuard<'_, Kept> {
-        // A panic leaves at worst an entry without its asset, which `get` would find missing: everything goes then.
+        // A panic while an asset was uploaded leaves its pin.
         self.kept.lock().unwrap_or_else(|poisoned| {
             self.kept.clear_poison();
             let mut kept = PoisonError::into_inner(poisoned);
-            kept.drop_unpinned();
+            kept.drop_missing();
             kept
         })
     }
@@ -124,6 +124,16 @@ impl Kept {
         }
     }
 
+    /// Forgets entries whose asset was never uploaded.
+    fn drop_missing(&mut self) {
+        for place in self.residency.keys() {
+            if !self.assets.contains_key(&place) {
+                self.residency.unpin(place);
+                self.residency.remove(place);
+            }
+        }
+    }
+
     fn drop_unpinned(&mut self) {
         for place in self.residency.remove_unpinned() {
             self.assets.remove(&place);
@@ -134,5 +144,26 @@ impl Kept {
 impl Drop for Pinned<'_> {
     fn drop(&mut self) {
         self.shelf.lock().residency.unpin(self.place);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_panic_while_an_asset_was_uploaded_leaves_no_pin() {
+        let shelf = Shelf::new(100);
+        let panicked = std::thread::scope(|scope| {
+            let upload = scope.spawn(|| {
+                let mut kept = shelf.lock();
+                kept.residency.admit(7, 60).expect("it fits");
+                panic!("the driver");
+            });
+            upload.join().is_err()
+        });
+        assert!(panicked);
+        assert_eq!(shelf.bytes(), 0);
+        assert_eq!(shelf.lock().residency.admit(8, 100), Ok(Vec::new()));
     }
 }

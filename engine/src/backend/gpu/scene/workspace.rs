@@ -1,9 +1,9 @@
 //! The buffers of a batch. They grow to what batches need and stay.
 
-use backlot_shaders::layout::{MarchParams, Ray, RaySample, RaySummary, SlotSample};
+use backlot_shaders::layout::{MarchParams, PartParams, Ray, RaySample, RaySummary, SlotSample};
 use backlot_shaders::scene_layout::{
-    EyeParams, ObjectBox, PartParams, RayHit, RayPairs, RayRequest, SampleList, SceneParams,
-    SlotRange, Weighted,
+    EyeParams, ObjectBox, RayHit, RayPairs, RayRequest, SampleList, SceneParams, SlotRange,
+    Weighted,
 };
 use wgpu::BufferUsages;
 

@@ -1,6 +1,6 @@
 //! What a batch of rays needs between its kernels.
 
-use backlot_shaders::{INPUT_BLOCKS, layout};
+use backlot_shaders::{INPUT_BLOCKS, SAMPLES_PER_THREAD, layout};
 use wgpu::BufferUsages;
 
 use super::network::{Block, layer_params, weight_blocks, width_blocks};
@@ -15,6 +15,9 @@ const SAMPLES_PER_RAY: u32 = 1024;
 
 type Quad = [f32; 4];
 
+/// The network's inputs: the most that a slot takes of one buffer, but for the activations of wide networks.
+const BYTES_PER_SLOT: u64 = (INPUT_BLOCKS * size_of::<Quad>()) as u64;
+
 /// How much work is handed out at once.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Capacity {
@@ -28,7 +31,7 @@ pub(super) struct Capacity {
 }
 
 impl Capacity {
-    /// As many rays as can never fill more than the adapter's share of hidden activations.
+    /// As many rays as can never fill more than the adapter's share of hidden activations, nor any buffer more than a binding.
     pub(super) fn new(
         device: &Device,
         network: MlpLayout,
@@ -36,12 +39,15 @@ impl Capacity {
         step_rays: usize,
     ) -> Self {
         // A processor wants a batch near its caches, a GPU wants many samples.
-        let (hidden_bytes, shares) = if device.is_software() {
+        let (hidden_bytes, shares): (u64, u32) = if device.is_software() {
             (32 << 20, 8)
         } else {
             (256 << 20, 64)
         };
-        let samples = hidden_bytes / (network.width * size_of::<f32>()) as u32;
+        let width_bytes = (network.width * size_of::<f32>()) as u64;
+        let widest = width_bytes.max(BYTES_PER_SLOT);
+        let samples = (hidden_bytes / width_bytes).min(device.max_binding_bytes() / widest);
+        let samples = u32::try_from(samples).unwrap_or(u32::MAX);
         let step_rays = step_rays.max(1) as u32;
         Self {
             rays: (samples / samples_per_ray).clamp(1, step_rays),
@@ -99,10 +105,17 @@ pub(super) struct Batch {
     pub(super) counters: Buffer<u32>,
     /// Of the whole step.
     pub(super) ray_losses: Buffer<layout::RayLoss>,
-    pub(super) exposure_gradients: Buffer<layout::ExposureGradient>,
 }
 
 impl Batch {
+    /// A step's parameters as this batch's kernels need them.
+    pub(super) fn params(&self, params: layout::TrainParams) -> layout::TrainParams {
+        layout::TrainParams {
+            sample_capacity: self.capacity.samples_per_ray,
+            ..params
+        }
+    }
+
     pub(super) fn new(
         device: &Device,
         capacity: Capacity,
@@ -112,8 +125,7 @@ impl Batch {
         let samples = rays * capacity.samples_per_ray as usize;
         let step_rays = capacity.step_rays as usize;
         let blocks = capacity.shares as usize * weight_blocks(network);
-        // Some kernels take four slots at a time.
-        let slots = samples.next_multiple_of(4);
+        let slots = samples.next_multiple_of(SAMPLES_PER_THREAD);
         let neurons = slots * width_blocks(network);
         let storage = BufferUsages::STORAGE;
         let layer = |params: &layout::LayerParams| {
@@ -151,7 +163,6 @@ impl Batch {
             weight_gradients: Buffer::zeroed(device, "weight gradients", blocks, storage)?,
             counters: Buffer::zeroed(device, "counters", 4, storage)?,
             ray_losses: Buffer::zeroed(device, "ray losses", step_rays, storage)?,
-            exposure_gradients: Buffer::zeroed(device, "exposure gradients", step_rays, storage)?,
         })
     }
 }

@@ -6,11 +6,15 @@ use super::batch::Batch;
 use super::kernels::TrainKernels;
 use super::lattices::Lattices;
 use super::network::ResidentNetwork;
+use super::part_bindings::NodeBindings;
 use super::sky::Sky;
 use super::state::StepBuffers;
+use super::views::OnDevice;
 use crate::backend::gpu::buffer::Buffer;
 use crate::backend::gpu::device::Device;
 use crate::backend::gpu::error::Error;
+use crate::backend::gpu::march::march_buffers;
+use crate::backend::gpu::pipeline::Pipeline;
 
 /// All buffers of a trainer.
 #[derive(Clone, Copy, Debug)]
@@ -19,6 +23,7 @@ pub(super) struct Buffers<'a> {
     pub(super) lattices: &'a Lattices,
     pub(super) network: &'a ResidentNetwork,
     pub(super) sky: &'a Sky,
+    pub(super) views: &'a OnDevice,
     pub(super) batch: &'a Batch,
     pub(super) step: &'a StepBuffers,
 }
@@ -26,21 +31,20 @@ pub(super) struct Buffers<'a> {
 /// One bind group a kernel.
 #[derive(Debug)]
 pub(super) struct Bindings {
+    pub(super) correct: wgpu::BindGroup,
     pub(super) march: wgpu::BindGroup,
     pub(super) composite: wgpu::BindGroup,
-    pub(super) gather: wgpu::BindGroup,
     pub(super) forward: wgpu::BindGroup,
     pub(super) losses: wgpu::BindGroup,
     pub(super) backward: wgpu::BindGroup,
     /// One a layer.
     pub(super) layer_gradients: [wgpu::BindGroup; 3],
-    pub(super) scatter: wgpu::BindGroup,
     pub(super) sum: wgpu::BindGroup,
-    pub(super) step_bricks: wgpu::BindGroup,
     pub(super) step_network: wgpu::BindGroup,
     pub(super) step_sky: wgpu::BindGroup,
-    pub(super) variation: wgpu::BindGroup,
-    pub(super) smooth: wgpu::BindGroup,
+    pub(super) step_views: wgpu::BindGroup,
+    /// One a part of the nodes.
+    pub(super) parts: Vec<NodeBindings>,
 }
 
 impl Bindings {
@@ -49,41 +53,49 @@ impl Bindings {
         kernels: &TrainKernels,
         buffers: Buffers<'_>,
     ) -> Result<Self, Error> {
+        let parts = 0..buffers.lattices.parts.len();
         Ok(Self {
+            correct: correct(device, kernels, buffers)?,
             march: march(device, kernels, buffers)?,
             composite: composite(device, kernels, buffers)?,
-            gather: gather(device, kernels, buffers)?,
-            forward: forward(device, kernels, buffers)?,
+            forward: forward(device, &kernels.forward, buffers)?,
             losses: losses(device, kernels, buffers)?,
             backward: backward(device, kernels, buffers)?,
             layer_gradients: layer_gradients(device, kernels, buffers)?,
-            scatter: scatter(device, kernels, buffers)?,
             sum: sum(device, kernels, buffers)?,
-            step_bricks: step_bricks(device, kernels, buffers)?,
             step_network: step_network(device, kernels, buffers)?,
             step_sky: step_sky(device, kernels, buffers)?,
-            variation: variation(device, kernels, buffers)?,
-            smooth: smooth(device, kernels, buffers)?,
+            step_views: step_views(device, kernels, buffers)?,
+            parts: parts
+                .map(|part| NodeBindings::new(device, kernels, buffers, part))
+                .collect::<Result<_, _>>()?,
         })
     }
 }
 
-type Bound = Result<wgpu::BindGroup, Error>;
+pub(super) type Bound = Result<wgpu::BindGroup, Error>;
+
+fn correct(device: &Device, kernels: &TrainKernels, buffers: Buffers<'_>) -> Bound {
+    let own = [
+        &buffers.step.params.raw,
+        &buffers.batch.targets.raw,
+        &buffers.views.views.raw,
+        &buffers.batch.rays.raw,
+        &buffers.views.sums.raw,
+    ];
+    kernels.correct.bind(device, &own)
+}
 
 fn march(device: &Device, kernels: &TrainKernels, buffers: Buffers<'_>) -> Bound {
-    let (lattices, batch) = (buffers.lattices, buffers.batch);
+    let batch = buffers.batch;
     let own = [
         &buffers.march_params.raw,
-        &lattices.levels.raw,
-        &lattices.brick_index.raw,
-        &lattices.density.raw,
-        &lattices.block_index.raw,
-        &lattices.blocks.raw,
         &batch.rays.raw,
         &batch.summaries.raw,
         &batch.samples.raw,
     ];
-    kernels.march.bind(device, &own)
+    let all = march_buffers(&buffers.lattices.shape, own);
+    kernels.march.bind(device, &all)
 }
 
 fn composite(device: &Device, kernels: &TrainKernels, buffers: Buffers<'_>) -> Bound {
@@ -102,25 +114,8 @@ fn composite(device: &Device, kernels: &TrainKernels, buffers: Buffers<'_>) -> B
     kernels.composite.bind(device, &own)
 }
 
-fn gather(device: &Device, kernels: &TrainKernels, buffers: Buffers<'_>) -> Bound {
-    let (lattices, batch) = (buffers.lattices, buffers.batch);
-    let [a, b, c] = &lattices.features;
-    let own = [
-        &buffers.step.params.raw,
-        &lattices.levels.raw,
-        &lattices.brick_index.raw,
-        &a.raw,
-        &b.raw,
-        &c.raw,
-        &batch.rays.raw,
-        &batch.slot_samples.raw,
-        &batch.counters.raw,
-        &batch.slot_inputs.raw,
-    ];
-    kernels.gather.bind(device, &own)
-}
-
-fn forward(device: &Device, kernels: &TrainKernels, buffers: Buffers<'_>) -> Bound {
+/// Of either variant.
+pub(super) fn forward(device: &Device, kernel: &Pipeline, buffers: Buffers<'_>) -> Bound {
     let batch = buffers.batch;
     let [first, second, third] = &buffers.network.layers;
     let own = [
@@ -133,7 +128,7 @@ fn forward(device: &Device, kernels: &TrainKernels, buffers: Buffers<'_>) -> Bou
         &batch.hidden[1].raw,
         &batch.slot_colors.raw,
     ];
-    kernels.forward.bind(device, &own)
+    kernel.bind(device, &own)
 }
 
 fn losses(device: &Device, kernels: &TrainKernels, buffers: Buffers<'_>) -> Bound {
@@ -150,12 +145,12 @@ fn losses(device: &Device, kernels: &TrainKernels, buffers: Buffers<'_>) -> Boun
         &batch.slot_colors.raw,
         &sky.grids.raw,
         &sky.logits.raw,
-        &buffers.step.exposures.raw,
+        &buffers.views.views.raw,
         &batch.slot_color_gradients.raw,
         &batch.points.raw,
         &sky.gradients.raw,
         &batch.ray_losses.raw,
-        &batch.exposure_gradients.raw,
+        &buffers.views.sums.raw,
         &buffers.step.state.raw,
     ];
     kernels.losses.bind(device, &own)
@@ -195,33 +190,14 @@ fn layer_gradients(
             gradients,
             &batch.weight_gradients.raw,
         ];
-        kernels.layer_gradients.bind(device, &own)
+        let kernel = &kernels.layer_gradients[number];
+        kernel.pipeline.bind(device, &own)
     };
     Ok([
         layer(0, &batch.slot_inputs.raw, &by_a.raw)?,
         layer(1, &batch.hidden[0].raw, &by_b.raw)?,
         layer(2, &batch.hidden[1].raw, &batch.slot_color_gradients.raw)?,
     ])
-}
-
-fn scatter(device: &Device, kernels: &TrainKernels, buffers: Buffers<'_>) -> Bound {
-    let (lattices, batch) = (buffers.lattices, buffers.batch);
-    let [a, b, c] = &lattices.feature_gradients;
-    let own = [
-        &buffers.step.params.raw,
-        &lattices.levels.raw,
-        &lattices.brick_index.raw,
-        &batch.counters.raw,
-        &batch.points.raw,
-        &batch.slot_gradients.raw,
-        &lattices.density_gradients.raw,
-        &a.raw,
-        &b.raw,
-        &c.raw,
-        &lattices.brick_marks.raw,
-        &lattices.touched_bricks.raw,
-    ];
-    kernels.scatter.bind(device, &own)
 }
 
 fn sum(device: &Device, kernels: &TrainKernels, buffers: Buffers<'_>) -> Bound {
@@ -232,29 +208,6 @@ fn sum(device: &Device, kernels: &TrainKernels, buffers: Buffers<'_>) -> Bound {
         &buffers.step.state.raw,
     ];
     kernels.sum.bind(device, &own)
-}
-
-fn step_bricks(device: &Device, kernels: &TrainKernels, buffers: Buffers<'_>) -> Bound {
-    let lattices = buffers.lattices;
-    let [a, b, c] = &lattices.features;
-    let [by_a, by_b, by_c] = &lattices.feature_gradients;
-    let own = [
-        &buffers.step.params.raw,
-        &buffers.step.state.raw,
-        &lattices.touched_bricks.raw,
-        &lattices.density.raw,
-        &a.raw,
-        &b.raw,
-        &c.raw,
-        &lattices.density_gradients.raw,
-        &by_a.raw,
-        &by_b.raw,
-        &by_c.raw,
-        &lattices.density_squares.raw,
-        &lattices.feature_squares.raw,
-        &lattices.brick_marks.raw,
-    ];
-    kernels.step_bricks.bind(device, &own)
 }
 
 fn step_network(device: &Device, kernels: &TrainKernels, buffers: Buffers<'_>) -> Bound {
@@ -280,44 +233,14 @@ fn step_sky(device: &Device, kernels: &TrainKernels, buffers: Buffers<'_>) -> Bo
     kernels.step_sky.bind(device, &own)
 }
 
-fn variation(device: &Device, kernels: &TrainKernels, buffers: Buffers<'_>) -> Bound {
-    let lattices = buffers.lattices;
-    let [a, b, c] = &lattices.features;
-    let [by_a, by_b, by_c] = &lattices.feature_gradients;
-    let own = [
-        &buffers.step.params.raw,
-        &lattices.levels.raw,
-        &lattices.brick_index.raw,
-        &lattices.brick_places.raw,
-        &lattices.touched_bricks.raw,
-        &lattices.density.raw,
-        &a.raw,
-        &b.raw,
-        &c.raw,
-        &lattices.density_gradients.raw,
-        &by_a.raw,
-        &by_b.raw,
-        &by_c.raw,
-    ];
-    kernels.variation.bind(device, &own)
-}
-
-fn smooth(device: &Device, kernels: &TrainKernels, buffers: Buffers<'_>) -> Bound {
-    let lattices = buffers.lattices;
-    let [a, b, c] = &lattices.features;
-    let [by_a, by_b, by_c] = &lattices.feature_gradients;
+fn step_views(device: &Device, kernels: &TrainKernels, buffers: Buffers<'_>) -> Bound {
+    let views = buffers.views;
     let own = [
         &buffers.step.params.raw,
         &buffers.step.state.raw,
-        &lattices.touched_bricks.raw,
-        &lattices.density.raw,
-        &a.raw,
-        &b.raw,
-        &c.raw,
-        &lattices.density_gradients.raw,
-        &by_a.raw,
-        &by_b.raw,
-        &by_c.raw,
+        &views.views.raw,
+        &views.sums.raw,
+        &views.moments.raw,
     ];
-    kernels.smooth.bind(device, &own)
+    kernels.step_views.bind(device, &own)
 }

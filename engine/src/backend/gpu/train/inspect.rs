@@ -1,10 +1,12 @@
 //! The stages of a step on the device, for comparing them with the CPU's.
 
-use backlot_shaders::{INPUT_BLOCKS, layout};
+use backlot_shaders::{INPUT_BLOCKS, VIEW_SUMS, VIEW_VALUES, layout};
 
 use super::GpuTrainer;
 use super::network::{unpack, weight_blocks};
 use super::rays::step_params;
+use crate::backend::cpu::ViewCorrection;
+use crate::backend::gpu::pace::Pace;
 use crate::backend::stages::{StageColor, StageSample, Stages};
 use crate::field::{BRICK_NODES, FEATURES, RaySample};
 use crate::train::ray::{Rates, RayLosses, TrainRay};
@@ -12,16 +14,33 @@ use crate::train::ray::{Rates, RayLosses, TrainRay};
 type Result<T> = std::result::Result<T, super::Error>;
 
 impl GpuTrainer {
-    /// Computes all gradients of one batch of rays and records every stage. Moves nothing.
+    /// Trains in batches of this many rays, however long they take.
+    pub(in crate::backend::gpu) fn batches_of(&mut self, rays: usize) {
+        self.pace = Pace::new(rays, rays);
+    }
+
+    /// Buffers that hold the densities, and those of every quad of features.
+    pub(in crate::backend::gpu) fn part_counts(&self) -> [usize; 2] {
+        let (lattices, _, bindings) = self.resident();
+        [lattices.shape.density.parts().len(), bindings.parts.len()]
+    }
+
+    /// Computes all gradients of one batch of rays and records every stage. Moves nothing. Views are corrected if there are corrections.
     pub(in crate::backend::gpu) fn stages(
         &mut self,
         rays: &[TrainRay],
         losses: &RayLosses,
+        corrections: &[ViewCorrection],
     ) -> Result<Stages> {
+        if !corrections.is_empty() {
+            self.views.set(&self.device, corrections)?;
+            self.bindings = None;
+        }
         self.upload(rays.len())?;
         let params = layout::TrainParams {
             ray_count: rays.len() as u32,
             step_ray_count: rays.len() as u32,
+            view_count: corrections.len() as u32,
             ..step_params(&self.field, losses, Rates::default(), 0)
         };
         let fits = self.resident().1.capacity.rays as usize;
@@ -36,7 +55,11 @@ impl GpuTrainer {
             .iter()
             .map(|quads| std::array::from_fn(|f| quads[f / 4][f % 4]))
             .collect();
-        self.submit_backward(rays.len())?;
+        let learns_poses = layout::TrainParams {
+            pose_rate: 1.0,
+            ..params
+        };
+        self.submit_backward(learns_poses)?;
         let mut stages = Stages {
             rays: self.ray_stages(rays.len(), &features)?,
             network: self.network_gradient()?,
@@ -44,15 +67,24 @@ impl GpuTrainer {
                 .sky
                 .gradients
                 .read(&self.device, 3 * params.sky_texel_count as usize)?,
+            views: self.view_gradients(corrections.len())?,
             ..Stages::default()
         };
         self.read_level_gradients(&mut stages)?;
-        self.submit_update(params)?;
+        self.update(params, &|| false)
+            .expect("nobody cancels, and the device works");
         let sums = self.sums()?;
         stages.color_rays = sums.color_rays;
         stages.squared_error = sums.squared_error;
         stages.loss = sums.loss;
         Ok(stages)
+    }
+
+    fn view_gradients(&self, views: usize) -> Result<Vec<[f32; VIEW_VALUES]>> {
+        let sums = &self.views.on_device().sums;
+        let sums = sums.read(&self.device, VIEW_SUMS * views)?;
+        let of_view = |sums: &[u32]| std::array::from_fn(|i| f32::from_bits(sums[i]));
+        Ok(sums.chunks_exact(VIEW_SUMS).map(of_view).collect())
     }
 
     fn colored(&self) -> Result<usize> {
@@ -123,11 +155,11 @@ impl GpuTrainer {
 
     fn read_level_gradients(&self, stages: &mut Stages) -> Result<()> {
         let lattices = self.resident().0;
-        let nodes = lattices.density.len();
-        let density = lattices.density_gradients.read(&self.device, nodes)?;
+        let nodes = lattices.nodes();
+        let density = lattices.density_gradients.read(&self.device, 0, nodes)?;
         let mut quads = Vec::new();
         for quad in &lattices.feature_gradients {
-            quads.push(quad.read(&self.device, nodes)?);
+            quads.push(quad.read(&self.device, 0, nodes)?);
         }
         let mut start = BRICK_NODES;
         for level in &self.field.levels {

@@ -1,8 +1,9 @@
 //! Training on the device.
 //!
-//! A step is a few batches of rays, each one submission: march, composite, gather features, colour, lose, differentiate, scatter;
-//! and one more that sums the losses and moves all parameters. Samples, their weights and what is coloured are decided once
-//! and recorded. Nothing comes back to the host but [`GpuTrainer::sums`] and, before bricks change, [`GpuTrainer::fetch`].
+//! A step is some batches of rays: march, composite, gather features, colour, lose, differentiate, scatter; then an update that sums the
+//! losses and moves all parameters. All of it is handed out in submissions of some tens of milliseconds. Samples, their weights and what
+//! is coloured are decided once and recorded. Nothing comes back to the host but [`GpuTrainer::sums`] and, before bricks change,
+//! [`GpuTrainer::fetch`].
 
 mod batch;
 mod bindings;
@@ -11,31 +12,41 @@ mod inspect;
 mod kernels;
 mod lattices;
 pub(super) mod network;
+mod part_bindings;
 mod rays;
 mod sky;
+mod squares;
 mod state;
+mod submissions;
+mod update;
+mod views;
 
 use std::sync::Arc;
+use std::time::Duration;
 
 use backlot_shaders::layout;
 use wgpu::BufferUsages;
 
 use batch::{Batch, Capacity, most_samples};
 use bindings::{Bindings, Buffers};
-pub(super) use kernels::KernelCache;
 use kernels::TrainKernels;
-use lattices::{Lattices, LevelSquares};
+use lattices::Lattices;
 use network::{ResidentNetwork, gradient_tiles, layer_params};
 use rays::{march_ray, step_params, target};
 use sky::Sky;
+use squares::LevelSquares;
 use state::StepBuffers;
+use submissions::Submissions;
+use update::{free_groups, go_on};
+use views::Views;
 
 use super::buffer::Buffer;
 use super::device::Device;
 use super::error::Error;
-use super::pipeline::Groups;
+use super::pace::Pace;
+use super::pipeline::Pipeline;
 use super::sequence::Sequence;
-use super::turns::Priority;
+use crate::backend::cpu::ViewCorrection;
 use crate::field::Field;
 use crate::train::ray::{Rates, RayLosses, TrainRay};
 
@@ -58,7 +69,9 @@ pub struct GpuSums {
 #[derive(Debug)]
 pub struct GpuTrainer {
     device: Device,
-    kernels: Arc<TrainKernels>,
+    kernels: TrainKernels,
+    /// Whether the colour network takes many samples a thread.
+    takes_many: bool,
     /// As of the last [`Self::fetch`], but for the bricks, which are always up to date.
     field: Field,
     squares: Vec<LevelSquares>,
@@ -66,15 +79,20 @@ pub struct GpuTrainer {
     step: StepBuffers,
     network: ResidentNetwork,
     sky: Sky,
+    views: Views,
     /// `None` after bricks changed.
     lattices: Option<Lattices>,
     batch: Option<Batch>,
-    /// Of the two above.
+    /// Of the above.
     bindings: Option<Bindings>,
+    /// Takes the place of the network's kernel where no backward pass follows.
+    colors_alone: Option<(Arc<Pipeline>, wgpu::BindGroup)>,
     samples_per_ray: u32,
     steps: u64,
-    /// The device may be one submission behind the host.
-    pending: Option<wgpu::SubmissionIndex>,
+    submissions: Submissions,
+    pace: Pace,
+    /// Rays of the last batch and how long the device was busy with them.
+    last_batch: (usize, Duration),
     march_rays: Vec<layout::Ray>,
     targets: Vec<layout::RayTarget>,
 }
@@ -84,40 +102,39 @@ impl GpuTrainer {
     ///
     /// # Errors
     /// [`Error::TooLarge`] or [`Error::OutOfMemory`] where it does not fit, [`Error::Lost`] and [`Error::Rejected`].
-    pub(super) fn new(device: Device, kernels: &KernelCache, field: Field) -> Result<Self, Error> {
-        let kernels = kernels.get(&device, field.mlp.layout())?;
-        Self::with_kernels(device, kernels, field)
+    pub(super) fn new(device: Device, field: Field) -> Result<Self, Error> {
+        // Reading a weight is broadcast for free on a GPU, and dearer than using it in software.
+        let takes_many = device.is_software();
+        Self::with_variant(device, field, takes_many)
     }
 
-    /// [`Self::new`] whose colour network takes four samples a thread, or one, whatever suits the device.
+    /// [`Self::new`] whose colour network takes many samples a thread, or one, whatever suits the device.
     pub(super) fn with_variant(
         device: Device,
         field: Field,
-        takes_four: bool,
-    ) -> Result<Self, Error> {
-        let kernels = TrainKernels::new(&device, field.mlp.layout(), takes_four)?;
-        Self::with_kernels(device, Arc::new(kernels), field)
-    }
-
-    fn with_kernels(
-        device: Device,
-        kernels: Arc<TrainKernels>,
-        field: Field,
+        takes_many: bool,
     ) -> Result<Self, Error> {
         let network = field.mlp.layout();
+        let mut squares = vec![LevelSquares::default(); field.levels.len()];
+        let lattices = Lattices::upload(&device, &field, &mut squares)?;
         let mut trainer = Self {
-            kernels,
+            kernels: TrainKernels::new(&device, &lattices.shape, network, takes_many)?,
+            takes_many,
             march_params: Buffer::zeroed(&device, "march parameters", 1, BufferUsages::UNIFORM)?,
             step: StepBuffers::new(&device, network)?,
             network: ResidentNetwork::upload(&device, &field.mlp)?,
             sky: Sky::upload(&device, &field)?,
-            squares: vec![LevelSquares::default(); field.levels.len()],
-            lattices: None,
+            views: Views::new(&device)?,
+            squares,
+            samples_per_ray: most_samples(&field),
+            lattices: Some(lattices),
             batch: None,
             bindings: None,
-            samples_per_ray: 0,
+            colors_alone: None,
             steps: 0,
-            pending: None,
+            submissions: Submissions::default(),
+            pace: Pace::new(LEAST_RAYS, MOST_RAYS),
+            last_batch: (0, Duration::ZERO),
             march_rays: Vec::new(),
             targets: Vec::new(),
             field,
@@ -134,6 +151,14 @@ impl GpuTrainer {
 
     pub fn into_field(self) -> Field {
         self.field
+    }
+
+    /// Corrections of the views by number, for those that had a ray while their rates were not 0; waits for the device.
+    ///
+    /// # Errors
+    /// [`Error::Lost`] and [`Error::Rejected`].
+    pub fn view_corrections(&self) -> Result<Vec<ViewCorrection>, Error> {
+        self.views.fetch(&self.device)
     }
 
     /// Kernels dispatched on the device so far, by whomever.
@@ -168,14 +193,13 @@ impl GpuTrainer {
         self.squares[level].retain(&old_of_new);
     }
 
-    /// Takes one optimiser step on `rays`, without waiting for its end. `cancelled` is asked between batches.
+    /// Takes one optimiser step on `rays`, without waiting for its end. `cancelled` is asked between submissions.
     ///
     /// With `trim_quantile` above 0, rays whose range error exceeded that quantile of the previous step's are outliers, and
     /// [`RayLosses::depth_trim_m`] is ignored.
     ///
     /// # Errors
-    /// [`crate::Error::Invalid`] for rates of exposures or poses, [`crate::Error::Cancelled`], after which the trainer is of no more
-    /// use, and the device's.
+    /// [`crate::Error::Cancelled`], after which the trainer is of no more use, and the device's.
     pub fn step(
         &mut self,
         rays: &[TrainRay],
@@ -184,30 +208,43 @@ impl GpuTrainer {
         trim_quantile: f64,
         cancelled: &dyn Fn() -> bool,
     ) -> crate::Result<()> {
-        if rates.exposure > 0.0 || rates.pose_m > 0.0 {
-            return Err(crate::Error::invalid(
-                "views' exposures and poses are learned on the processor only: choose device cpu",
-            ));
+        if self.views.prepare(&self.device, rays, rates)? {
+            self.bindings = None;
         }
         self.upload(rays.len())?;
         let mut params = step_params(&self.field, losses, rates, self.steps);
         params.step_ray_count = rays.len() as u32;
         params.trim_quantile = trim_quantile as f32;
-        let batch = self
-            .batch
-            .as_ref()
-            .map_or(1, |batch| batch.capacity.rays as usize);
-        for (number, rays) in rays.chunks(batch).enumerate() {
-            if cancelled() {
-                return Err(crate::Error::Cancelled);
-            }
-            params.first_ray = (number * batch) as u32;
-            params.ray_count = rays.len() as u32;
-            self.submit_batch(rays, params)?;
+        self.views.begin_step(losses, rates, &mut params);
+        let mut first = 0;
+        while first < rays.len() {
+            let batch = &rays[first..rays.len().min(first + self.next_batch()?)];
+            params.first_ray = first as u32;
+            params.ray_count = batch.len() as u32;
+            go_on(cancelled)?;
+            self.submit_forward(batch, params)?;
+            go_on(cancelled)?;
+            self.submit_backward(params)?;
+            self.last_batch = (batch.len(), self.submissions.take_busy());
+            first += batch.len();
         }
-        self.submit_update(params)?;
+        self.update(params, cancelled)?;
+        self.submissions.take_busy();
         self.steps += 1;
         Ok(())
+    }
+
+    /// Waits for the last batch and says how many rays the next one has.
+    fn next_batch(&mut self) -> Result<usize, Error> {
+        self.submissions.settle(&self.device)?;
+        let (rays, busy) = self.last_batch;
+        if rays > 0 {
+            let busy = busy + self.submissions.take_busy();
+            self.pace = self.pace.after(rays, busy);
+            self.last_batch = (0, Duration::ZERO);
+        }
+        let room = self.resident().1.capacity.rays as usize;
+        Ok(self.pace.rays().min(room))
     }
 
     /// The colours of all samples of `rays`, for timing; waits for them.
@@ -217,16 +254,19 @@ impl GpuTrainer {
     #[doc(hidden)]
     pub fn forward(&mut self, rays: &[TrainRay], losses: &RayLosses) -> Result<(), Error> {
         self.upload(rays.len())?;
+        let network = self.field.mlp.layout();
+        let kernel = kernels::forward(&self.device, network, self.takes_many, false)?;
+        let (lattices, batch, _) = self.resident();
+        let bound = bindings::forward(&self.device, &kernel, self.buffers(lattices, batch))?;
+        let room = batch.capacity.rays as usize;
+        self.colors_alone = Some((kernel, bound));
         let mut params = step_params(&self.field, losses, Rates::default(), 0);
-        let batch = self
-            .batch
-            .as_ref()
-            .map_or(1, |batch| batch.capacity.rays as usize);
-        for rays in rays.chunks(batch) {
+        for rays in rays.chunks(room) {
             params.ray_count = rays.len() as u32;
             self.submit_forward(rays, params)?;
         }
-        self.device.wait()
+        self.colors_alone = None;
+        self.submissions.settle(&self.device)
     }
 
     /// What the last step summed; waits for it.
@@ -249,7 +289,11 @@ impl GpuTrainer {
     fn upload(&mut self, rays: usize) -> Result<(), Error> {
         if self.lattices.is_none() {
             let (field, squares) = (&self.field, &mut self.squares);
-            self.lattices = Some(Lattices::upload(&self.device, field, squares)?);
+            let lattices = Lattices::upload(&self.device, field, squares)?;
+            let network = field.mlp.layout();
+            self.kernels =
+                TrainKernels::new(&self.device, &lattices.shape, network, self.takes_many)?;
+            self.lattices = Some(lattices);
             self.samples_per_ray = most_samples(field);
             self.bindings = None;
         }
@@ -272,17 +316,22 @@ impl GpuTrainer {
         if self.bindings.is_none()
             && let (Some(lattices), Some(batch)) = (&self.lattices, &self.batch)
         {
-            let buffers = Buffers {
-                march_params: &self.march_params,
-                lattices,
-                network: &self.network,
-                sky: &self.sky,
-                batch,
-                step: &self.step,
-            };
+            let buffers = self.buffers(lattices, batch);
             self.bindings = Some(Bindings::new(&self.device, &self.kernels, buffers)?);
         }
         Ok(())
+    }
+
+    fn buffers<'a>(&'a self, lattices: &'a Lattices, batch: &'a Batch) -> Buffers<'a> {
+        Buffers {
+            march_params: &self.march_params,
+            lattices,
+            network: &self.network,
+            sky: &self.sky,
+            views: self.views.on_device(),
+            batch,
+            step: &self.step,
+        }
     }
 
     /// What [`Self::upload`] made.
@@ -293,14 +342,12 @@ impl GpuTrainer {
         }
     }
 
-    /// Adds the gradients of a batch of rays to those of the step.
-    fn submit_batch(
-        &mut self,
-        rays: &[TrainRay],
-        params: layout::TrainParams,
-    ) -> Result<(), Error> {
-        self.submit_forward(rays, params)?;
-        self.submit_backward(rays.len())
+    /// Hands over what `write` returns.
+    fn submit(&mut self, write: impl FnOnce(&Self) -> Sequence<'_>) -> Result<(), Error> {
+        let mut submissions = std::mem::take(&mut self.submissions);
+        let done = submissions.run(&self.device, || write(self));
+        self.submissions = submissions;
+        done
     }
 
     /// From rays to the colours of their samples.
@@ -309,104 +356,76 @@ impl GpuTrainer {
         rays: &[TrainRay],
         params: layout::TrainParams,
     ) -> Result<(), Error> {
-        let gate = self.device.clone();
-        let _turn = gate.turn(Priority::Training);
         self.march_rays.clear();
         self.march_rays.extend(rays.iter().map(march_ray));
         self.targets.clear();
         self.targets.extend(rays.iter().map(target));
-        let (device, kernels) = (&self.device, &self.kernels);
-        let (lattices, batch, bindings) = self.resident();
-        let samples_per_ray = batch.capacity.samples_per_ray;
-        let march_groups = kernels.march.groups(device, rays.len() as u32);
-        let march = layout::MarchParams {
-            ray_count: rays.len() as u32,
-            sample_capacity: samples_per_ray,
-            groups_x: march_groups.x,
-            ..lattices.params
-        };
-        let params = layout::TrainParams {
-            sample_capacity: samples_per_ray,
-            ..params
-        };
-        batch.rays.write(device, &self.march_rays);
-        batch.targets.write(device, &self.targets);
-        self.march_params.write(device, &[march]);
-        self.step.params.write(device, &[params]);
-        let free = free_groups(device);
-        let per_ray = kernels.composite.groups(device, rays.len() as u32);
-        let mut sequence = Sequence::new(device, "training batch, forward");
-        // The step's counts follow the batch's.
-        let counters = if params.first_ray == 0 { 16 } else { 8 };
-        sequence.clear(&batch.counters.raw, counters);
-        sequence.run(&kernels.march, &bindings.march, march_groups);
-        sequence.run(&kernels.composite, &bindings.composite, per_ray);
-        sequence.run(&kernels.gather, &bindings.gather, free);
-        sequence.run(&kernels.forward, &bindings.forward, free);
-        let submission = sequence.submit()?;
-        self.wait_for_last(submission)
+        self.submit(|trainer| {
+            let (device, kernels) = (&trainer.device, &trainer.kernels);
+            let (lattices, batch, bindings) = trainer.resident();
+            let march_groups = kernels.march.groups(device, params.ray_count);
+            let march = layout::MarchParams {
+                ray_count: params.ray_count,
+                sample_capacity: batch.capacity.samples_per_ray,
+                groups_x: march_groups.x,
+                ..lattices.shape.params
+            };
+            batch.rays.write(device, &trainer.march_rays);
+            batch.targets.write(device, &trainer.targets);
+            trainer.march_params.write(device, &[march]);
+            trainer.step.params.write(device, &[batch.params(params)]);
+            let free = free_groups(device);
+            let per_ray = kernels.composite.groups(device, params.ray_count);
+            let mut sequence = Sequence::new(device, "training batch, forward");
+            // The step's counts follow the batch's.
+            let counters = if params.first_ray == 0 { 16 } else { 8 };
+            sequence.clear(&batch.counters.raw, counters);
+            if params.view_count > 0 {
+                sequence.run(&kernels.correct, &bindings.correct, per_ray);
+            }
+            sequence.run(&kernels.march, &bindings.march, march_groups);
+            sequence.run(&kernels.composite, &bindings.composite, per_ray);
+            for part in &bindings.parts {
+                sequence.run(&kernels.gather, &part.gather, free);
+            }
+            match &trainer.colors_alone {
+                Some((kernel, bound)) => sequence.run(kernel, bound, free),
+                None => sequence.run(&kernels.forward, &bindings.forward, free),
+            }
+            sequence
+        })
     }
 
     /// From losses to gradients by all parameters.
-    fn submit_backward(&mut self, rays: usize) -> Result<(), Error> {
-        let gate = self.device.clone();
-        let _turn = gate.turn(Priority::Training);
-        let (device, kernels) = (&self.device, &self.kernels);
-        let (_, batch, bindings) = self.resident();
-        let per_ray = kernels.losses.groups(device, rays as u32);
-        let free = free_groups(device);
-        let mut sequence = Sequence::new(device, "training batch, backward");
-        sequence.run(&kernels.losses, &bindings.losses, per_ray);
-        sequence.run(&kernels.backward, &bindings.backward, free);
-        let layers = layer_params(self.field.mlp.layout());
-        for (layer, bound) in layers.iter().zip(&bindings.layer_gradients) {
-            let threads = gradient_tiles(layer) * batch.capacity.shares;
-            let groups = kernels.layer_gradients.groups(device, threads);
-            sequence.run(&kernels.layer_gradients, bound, groups);
-        }
-        sequence.run(&kernels.scatter, &bindings.scatter, free);
-        let submission = sequence.submit()?;
-        self.wait_for_last(submission)
-    }
-
-    /// Sums the step's losses and moves all parameters against their gradients.
-    fn submit_update(&mut self, params: layout::TrainParams) -> Result<(), Error> {
-        let gate = self.device.clone();
-        let _turn = gate.turn(Priority::Training);
-        let (device, kernels) = (&self.device, &self.kernels);
-        let (lattices, _, bindings) = self.resident();
-        self.step.params.write(device, &[params]);
-        let free = free_groups(device);
-        let weights = self.network.weights.len() * backlot_shaders::BLOCK_FLOATS;
-        let per_weight = kernels.step_network.groups(device, weights as u32);
-        let mut sequence = Sequence::new(device, "training update");
-        sequence.run(&kernels.sum, &bindings.sum, Groups { x: 1, y: 1 });
-        sequence.run(&kernels.step_bricks, &bindings.step_bricks, free);
-        if params.density_variation_rate > 0.0 || params.feature_variation_rate > 0.0 {
-            sequence.run(&kernels.variation, &bindings.variation, free);
-            sequence.run(&kernels.smooth, &bindings.smooth, free);
-        }
-        sequence.clear(&lattices.touched_bricks.raw, 4);
-        sequence.run(&kernels.step_network, &bindings.step_network, per_weight);
-        self.network.spread(&mut sequence);
-        if params.sky_texel_count > 0 {
-            sequence.run(&kernels.step_sky, &bindings.step_sky, free);
-        }
-        let submission = sequence.submit()?;
-        self.wait_for_last(submission)
-    }
-
-    /// Lets the device be at most one submission behind, or a cancelled run would go on for long.
-    fn wait_for_last(&mut self, submission: wgpu::SubmissionIndex) -> Result<(), Error> {
-        match self.pending.replace(submission) {
-            Some(last) => self.device.wait_for(last),
-            None => Ok(()),
-        }
+    fn submit_backward(&mut self, params: layout::TrainParams) -> Result<(), Error> {
+        self.submit(|trainer| {
+            let (device, kernels) = (&trainer.device, &trainer.kernels);
+            let (_, batch, bindings) = trainer.resident();
+            let per_ray = kernels.losses.groups(device, params.ray_count);
+            let free = free_groups(device);
+            let mut sequence = Sequence::new(device, "training batch, backward");
+            sequence.run(&kernels.losses, &bindings.losses, per_ray);
+            sequence.run(&kernels.backward, &bindings.backward, free);
+            let layers = layer_params(trainer.field.mlp.layout());
+            let kernels_of_layers = kernels.layer_gradients.iter();
+            let layers = layers.iter().zip(&bindings.layer_gradients);
+            for ((layer, bound), kernel) in layers.zip(kernels_of_layers) {
+                let threads = gradient_tiles(layer, kernel.tile_quads) * batch.capacity.shares;
+                let groups = kernel.pipeline.groups(device, threads);
+                sequence.run(&kernel.pipeline, bound, groups);
+            }
+            for part in &bindings.parts {
+                sequence.run(&kernels.scatter, &part.scatter, free);
+                if params.pose_rate > 0.0 {
+                    sequence.run(&kernels.poses, &part.poses, per_ray);
+                }
+            }
+            sequence
+        })
     }
 }
 
-/// Workgroups of kernels that take items until there are no more.
-fn free_groups(device: &Device) -> Groups {
-    let x = if device.is_software() { 32 } else { 4096 };
-    Groups { x, y: 1 }
-}
+/// Rays of the first batch, and of every batch at least: a few milliseconds in software even where every sample is coloured.
+const LEAST_RAYS: usize = 16;
+/// More than there is room for, or than a step has.
+const MOST_RAYS: usize = 1 << 20;

@@ -2,6 +2,7 @@
 
 use backlot_shaders::layout;
 
+use crate::backend::cpu::adam::{BETA1, BETA2};
 use crate::field::Field;
 use crate::train::ray::{Backdrop, DepthForm, Rates, RayLosses, Rectified, Silhouette, TrainRay};
 
@@ -47,9 +48,11 @@ pub(super) fn target(ray: &TrainRay) -> layout::RayTarget {
     }
 }
 
-/// Adam's decay rates, as the kernel has them.
-const BETA1: f32 = 0.9;
-const BETA2: f32 = 0.99;
+/// Adam's rate with its bias corrections, in the `taken`-th step.
+pub(super) fn adam_rate(rate: f32, taken: u64) -> f32 {
+    let taken = i32::try_from(taken).unwrap_or(i32::MAX);
+    rate * (1.0 - BETA2.powi(taken)).sqrt() / (1.0 - BETA1.powi(taken))
+}
 
 /// Parameters of a step without the batch's.
 pub(super) fn step_params(
@@ -59,8 +62,6 @@ pub(super) fn step_params(
     step: u64,
 ) -> layout::TrainParams {
     let grids = field.sky.as_ref().map_or(&[][..], |sky| sky.grids());
-    let taken = i32::try_from(step + 1).unwrap_or(i32::MAX);
-    let correction = (1.0 - BETA2.powi(taken)).sqrt() / (1.0 - BETA1.powi(taken));
     layout::TrainParams {
         base_voxel_m: field.activation.base_voxel_m,
         level_count: field.levels.len() as u32,
@@ -78,7 +79,7 @@ pub(super) fn step_params(
         distortion_scale_m: losses.distortion_scale_m,
         density_rate: rates.density,
         feature_rate: rates.features,
-        network_rate: rates.mlp * correction,
+        network_rate: adam_rate(rates.mlp, step + 1),
         sky_rate: rates.sky,
         density_variation_rate: rates.density * losses.density_variation,
         feature_variation_rate: rates.features * losses.feature_variation,

@@ -15,8 +15,6 @@ pub(super) struct StepBuffers {
     pub(super) state: Buffer<layout::StepState>,
     /// Of the colour network's optimiser.
     pub(super) moments: Buffer<layout::Moments>,
-    /// One a view.
-    pub(super) exposures: Buffer<layout::Exposure>,
 }
 
 impl StepBuffers {
@@ -31,7 +29,6 @@ impl StepBuffers {
             params: Buffer::zeroed(device, "train parameters", 1, BufferUsages::UNIFORM)?,
             state: Buffer::from_slice(device, "step state", &[start], storage)?,
             moments: Buffer::zeroed(device, "network moments", weights, storage)?,
-            exposures: Buffer::zeroed(device, "exposures", 1, storage)?,
         })
     }
 }

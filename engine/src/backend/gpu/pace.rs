@@ -1,22 +1,28 @@
-//! How much work one batch holds: enough to fill the device, little enough that others get their turn and a cancel is heeded.
+//! How many rays one batch holds: enough to fill the device, little enough that others get their turn and a cancel is heeded.
 
 use std::time::Duration;
 
-/// A cancelled call must end within 100 ms of work.
+/// A cancelled call must end within 100 ms of work, and a batch may be twice as dear as the one it was measured by.
 const TARGET: Duration = Duration::from_millis(40);
-const LEAST_RAYS: usize = 1024;
-/// 64 Ki rays fill the largest card and take some 200 MiB of buffers.
-const MOST_RAYS: usize = 1 << 16;
 
 /// Rays of the next batch.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Pace {
     rays: usize,
+    least: usize,
+    most: usize,
 }
 
 impl Pace {
-    pub(super) fn new() -> Self {
-        Self { rays: LEAST_RAYS }
+    /// A first batch of `least` rays; none will have fewer nor more than `most`.
+    pub(super) fn new(least: usize, most: usize) -> Self {
+        let most = most.max(1);
+        let least = least.clamp(1, most);
+        Self {
+            rays: least,
+            least,
+            most,
+        }
     }
 
     pub(super) fn rays(self) -> usize {
@@ -26,11 +32,12 @@ impl Pace {
     /// The pace after a batch of `rays` took `elapsed`: at most twice or half the last one.
     pub(super) fn after(self, rays: usize, elapsed: Duration) -> Self {
         let ratio = TARGET.as_secs_f64() / elapsed.as_secs_f64().max(1e-6);
-        // A batch that was cut short by the image's end says little about a full one.
+        // A batch that was cut short by the end of its image or step says little about a full one.
         let from = rays.clamp(self.rays / 2, self.rays) as f64;
         let next = from * ratio.clamp(0.5, 2.0);
         Self {
-            rays: (next as usize).clamp(LEAST_RAYS, MOST_RAYS),
+            rays: (next as usize).clamp(self.least, self.most),
+            ..self
         }
     }
 }
@@ -39,9 +46,12 @@ impl Pace {
 mod tests {
     use super::*;
 
+    const LEAST: usize = 256;
+    const MOST: usize = 1 << 16;
+
     /// Batches until the pace no longer moves on a device of this many rays a second.
     fn settled(rays_per_s: f64) -> usize {
-        let mut pace = Pace::new();
+        let mut pace = Pace::new(LEAST, MOST);
         for _ in 0..40 {
             let elapsed = Duration::from_secs_f64(pace.rays() as f64 / rays_per_s);
             pace = pace.after(pace.rays(), elapsed);
@@ -55,15 +65,27 @@ mod tests {
             let took = settled(rays_per_s) as f64 / rays_per_s;
             assert!((0.035..0.045).contains(&took), "{rays_per_s}: {took} s");
         }
-        assert_eq!(settled(1e9), MOST_RAYS);
-        assert_eq!(settled(1.0), LEAST_RAYS);
+        assert_eq!(settled(1e9), MOST);
+        assert_eq!(settled(1.0), LEAST);
     }
 
     #[test]
     fn one_slow_batch_halves_it_at_most() {
-        let pace = Pace { rays: 8192 };
+        let pace = Pace {
+            rays: 8192,
+            ..Pace::new(LEAST, MOST)
+        };
         assert_eq!(pace.after(8192, Duration::from_secs(9)).rays(), 4096);
         assert_eq!(pace.after(8192, Duration::ZERO).rays(), 16_384);
         assert_eq!(pace.after(100, Duration::from_micros(1)).rays(), 8192);
+    }
+
+    #[test]
+    fn batches_that_are_never_as_large_as_they_may_do_not_let_the_pace_run_away() {
+        let mut pace = Pace::new(16, MOST);
+        for _ in 0..40 {
+            pace = pace.after(pace.rays().min(100), Duration::from_micros(1));
+        }
+        assert!((100..=400).contains(&pace.rays()), "{pace:?}");
     }
 }

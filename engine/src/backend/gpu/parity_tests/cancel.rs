@@ -1,0 +1,129 @@
+//! How soon a cancelled call ends: what the device is given between two questions, and that it is given nothing after a yes.
+
+use std::sync::Mutex;
+
+use super::adapter::{on_adapter, open};
+use super::street::{Street, camera};
+use crate::Error;
+use crate::backend::Backend;
+use crate::backend::cpu::tests::{LOSSES, field, rays_of_all_sorts};
+use crate::backend::gpu::GpuBackend;
+use crate::camera::Distortion;
+use crate::scene::RenderOptions;
+use crate::train::ray::Rates;
+
+const RATES: Rates = Rates {
+    density: 0.02,
+    features: 0.02,
+    mlp: 2e-3,
+    sky: 0.05,
+    exposure: 0.01,
+    pose_m: 1e-3,
+};
+/// Kernels of the longest submission, the backward pass of a batch.
+const KERNELS: u64 = 8;
+
+/// Asks of a call that is cancelled at number `stop`, and kernels dispatched when each was asked.
+#[derive(Default)]
+struct Asked {
+    dispatched: Mutex<Vec<u64>>,
+    stop: Option<usize>,
+}
+
+impl Asked {
+    fn answer(&self, gpu: &GpuBackend) -> bool {
+        let mut dispatched = self.dispatched.lock().expect("no panic");
+        dispatched.push(gpu.dispatch_count());
+        self.stop == Some(dispatched.len() - 1)
+    }
+
+    fn counts(self) -> Vec<u64> {
+        self.dispatched.into_inner().expect("no panic")
+    }
+}
+
+/// # Errors
+/// Names the questions between which too much was dispatched.
+fn little_between(counts: &[u64]) -> Result<(), String> {
+    for (number, pair) in counts.windows(2).enumerate() {
+        if pair[1] - pair[0] > KERNELS {
+            return Err(format!(
+                "{} kernels after question {number}",
+                pair[1] - pair[0]
+            ));
+        }
+    }
+    Ok(())
+}
+
+/// A device of its own: others would dispatch on the shared one.
+#[test]
+fn parity_of_cancelled_steps_which_dispatch_nothing_more() {
+    on_adapter("cancelled steps", |shared| {
+        let gpu = open().expect("opens");
+        let rays = rays_of_all_sorts(200);
+        let step = |asked: &Asked| {
+            let mut trainer = gpu.open_trainer(field()).expect("fits");
+            trainer.batches_of(16);
+            let cancelled = || asked.answer(&gpu);
+            trainer.step(&rays, &LOSSES, RATES, 0.5, &cancelled)
+        };
+        let asked = Asked::default();
+        step(&asked).expect("nobody cancels");
+        let counts = asked.counts();
+        // Thirteen batches of two submissions, the sums, one slice of the bricks, the rest.
+        assert_eq!(counts.len(), 2 * 13 + 3);
+        little_between(&counts).expect("short submissions");
+        let mut longer = counts.clone();
+        longer.remove(3);
+        assert!(little_between(&longer).is_err(), "a question less passes");
+        for stop in [0, 1, 12, counts.len() - 1] {
+            let asked = Asked {
+                stop: Some(stop),
+                ..Asked::default()
+            };
+            let stopped = step(&asked);
+            assert!(matches!(stopped, Err(Error::Cancelled)), "{stopped:?}");
+            let counts = asked.counts();
+            assert_eq!(counts.len(), stop + 1, "asked again after a yes");
+            assert_eq!(counts[stop], gpu.dispatch_count(), "dispatched after a yes");
+        }
+        let mut trainer = shared.open_trainer(field()).expect("fits");
+        trainer
+            .step(&rays, &LOSSES, RATES, 0.0, &|| false)
+            .expect("works");
+    });
+}
+
+#[test]
+fn parity_of_cancelled_frames_which_dispatch_nothing_more() {
+    on_adapter("cancelled frames", |shared| {
+        let gpu = open().expect("opens");
+        let street = Street::new();
+        let scene = street.scene(camera(Distortion::None).resized(124, 37));
+        let options = RenderOptions::default();
+        let asked = Asked::default();
+        let frame = gpu.render(&scene, &options, &|| asked.answer(&gpu));
+        frame.expect("nobody cancels");
+        let asks = asked.counts().len();
+        assert!(asks > 3, "a frame of {asks} batches");
+        for stop in [0, 1, asks - 1] {
+            let asked = Asked {
+                stop: Some(stop),
+                ..Asked::default()
+            };
+            let stopped = gpu.render(&scene, &options, &|| asked.answer(&gpu));
+            // Paces differ from run to run: the last question of one may not be asked in another.
+            if stopped.is_ok() {
+                assert!(stop > 1 && asked.counts().len() <= stop, "not heeded");
+                continue;
+            }
+            assert!(matches!(stopped, Err(Error::Cancelled)), "{stopped:?}");
+            let counts = asked.counts();
+            assert_eq!(counts.len(), stop + 1, "asked again after a yes");
+            assert_eq!(counts[stop], gpu.dispatch_count(), "dispatched after a yes");
+        }
+        let whole = shared.render(&scene, &options, &|| false);
+        whole.expect("renders");
+    });
+}

@@ -1,0 +1,55 @@
+//! Hands the pieces of a step to the device, turn by turn.
+
+use std::time::{Duration, Instant};
+
+use crate::backend::gpu::device::Device;
+use crate::backend::gpu::error::Error;
+use crate::backend::gpu::sequence::Sequence;
+use crate::backend::gpu::turns::Priority;
+
+/// The device may be one submission behind the host, or a cancelled run would go on for long.
+#[derive(Debug, Default)]
+pub(super) struct Submissions {
+    pending: Option<wgpu::SubmissionIndex>,
+    busy: Duration,
+}
+
+impl Submissions {
+    /// Submits, in a turn of its own, what `write` puts into buffers and returns.
+    pub(super) fn run<'a>(
+        &mut self,
+        device: &'a Device,
+        write: impl FnOnce() -> Sequence<'a>,
+    ) -> Result<(), Error> {
+        let turn = device.turn(Priority::Training);
+        let began = Instant::now();
+        let submission = write().submit()?;
+        let last = self.pending.replace(submission);
+        // Whoever waits gets an idle device; what is measured is then this turn's work, and not theirs.
+        let settled = if turn.is_wanted() {
+            self.pending.take()
+        } else {
+            last
+        };
+        if let Some(submission) = settled {
+            device.wait_for(submission)?;
+        }
+        self.busy += began.elapsed();
+        Ok(())
+    }
+
+    /// Waits for everything that was submitted.
+    pub(super) fn settle(&mut self, device: &Device) -> Result<(), Error> {
+        if let Some(submission) = self.pending.take() {
+            let began = Instant::now();
+            device.wait_for(submission)?;
+            self.busy += began.elapsed();
+        }
+        Ok(())
+    }
+
+    /// How long the device was busy since the last call, as far as anybody waited for it.
+    pub(super) fn take_busy(&mut self) -> Duration {
+        std::mem::take(&mut self.busy)
+    }
+}
