@@ -41,13 +41,6 @@ pub const BLOCK_FLOATS: usize = 16;
 /// Neurons, inputs or samples along one edge of a block.
 pub const BLOCK_EDGE: usize = 4;
 
-/// Samples of a thread in the kernels that take many; slots are multiples of these.
-pub const SAMPLES_PER_THREAD: usize = 16;
-
-/// Weights along one edge of a tile of [`kernels::LAYER_GRADIENTS`], in quads, and of the wide one.
-pub const TILE_QUADS: u32 = 4;
-pub const WIDE_TILE_QUADS: u32 = 8;
-
 /// Blocks of the colour network's inputs.
 pub const INPUT_BLOCKS: usize = 10;
 

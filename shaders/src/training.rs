@@ -97,18 +97,18 @@ pub const NETWORK_FORWARD: Kernel = Kernel {
     )
 };
 
-/// [`NETWORK_FORWARD`] with [`crate::SAMPLES_PER_THREAD`].
-pub const NETWORK_FORWARD_MANY: Kernel = Kernel {
+/// [`NETWORK_FORWARD`] with four samples a thread.
+pub const NETWORK_FORWARD_FOUR: Kernel = Kernel {
     bindings: FORWARD_BINDINGS,
-    workgroup_size: 16,
+    workgroup_size: 32,
     parameters: &["WIDTH_BLOCKS", "KEEPS_HIDDEN"],
     ..kernel_of!(
-        "network_forward_many",
+        "network_forward_four",
         "types",
         "transcendental",
-        "network_many",
+        "network_four",
         "training",
-        "network_forward_many"
+        "network_forward_four"
     )
 };
 
@@ -174,18 +174,18 @@ pub const NETWORK_BACKWARD: Kernel = Kernel {
     )
 };
 
-/// [`NETWORK_BACKWARD`] with [`crate::SAMPLES_PER_THREAD`].
-pub const NETWORK_BACKWARD_MANY: Kernel = Kernel {
+/// [`NETWORK_BACKWARD`] with four samples a thread.
+pub const NETWORK_BACKWARD_FOUR: Kernel = Kernel {
     bindings: BACKWARD_BINDINGS,
-    workgroup_size: 16,
+    workgroup_size: 32,
     parameters: &["WIDTH_BLOCKS"],
     ..kernel_of!(
-        "network_backward_many",
+        "network_backward_four",
         "types",
         "transcendental",
-        "network_many",
+        "network_four",
         "training",
-        "network_backward_many"
+        "network_backward_four"
     )
 };
 
@@ -205,37 +205,16 @@ const BACKWARD_BINDINGS: &[Binding] = &[
 
 /// Gradient of one layer's weights; one thread a tile of 16 x 16 weights and a share of the samples.
 pub const LAYER_GRADIENTS: Kernel = Kernel {
-    bindings: LAYER_BINDINGS,
+    bindings: &[
+        bind::<LayerParams>("layer", Access::Uniform),
+        bind::<u32>("counters", Access::Read),
+        bind::<Quad>("layer_inputs", Access::Read),
+        bind::<Quad>("output_gradients", Access::Read),
+        bind::<Block>("weight_gradients", Access::ReadWrite),
+    ],
     workgroup_size: 8,
-    ..kernel_of!(
-        "layer_gradients",
-        "types",
-        "training",
-        "layer_sums",
-        "layer_gradients"
-    )
+    ..kernel_of!("layer_gradients", "types", "training", "layer_gradients")
 };
-
-/// [`LAYER_GRADIENTS`] with tiles of 32 x 32 weights.
-pub const LAYER_GRADIENTS_WIDE: Kernel = Kernel {
-    bindings: LAYER_BINDINGS,
-    workgroup_size: 8,
-    ..kernel_of!(
-        "layer_gradients_wide",
-        "types",
-        "training",
-        "layer_sums",
-        "layer_gradients_wide"
-    )
-};
-
-const LAYER_BINDINGS: &[Binding] = &[
-    bind::<LayerParams>("layer", Access::Uniform),
-    bind::<u32>("counters", Access::Read),
-    bind::<Quad>("layer_inputs", Access::Read),
-    bind::<Quad>("output_gradients", Access::Read),
-    bind::<Block>("weight_gradients", Access::ReadWrite),
-];
 
 /// Adds the gradients of points to the nodes around them that one part holds; any number of threads.
 pub const SCATTER_GRADIENTS: Kernel = Kernel {

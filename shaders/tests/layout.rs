@@ -15,7 +15,7 @@ use backlot_shaders::scene_layout::{
 };
 
 /// Structs that never leave a kernel, so they have no mirror.
-const INTERNAL: [&str; 14] = [
+const INTERNAL: [&str; 12] = [
     "ByExposure",
     "Corners",
     "Features",
@@ -26,10 +26,8 @@ const INTERNAL: [&str; 14] = [
     "Slopes",
     "Space",
     "TileRow",
-    "Tiles",
     "Totals",
     "Walk",
-    "WideRow",
 ];
 /// What naga declares for compare-and-exchange.
 const PREDECLARED: &str = "__atomic_compare_exchange_result";

@@ -20,7 +20,7 @@ use cpu_time::CpuTime;
 const RAYS: usize = 2048;
 const WIDTH: usize = 128;
 /// Samples a thread of the colour network.
-const VARIANTS: [(&str, bool); 2] = [("1 sample a thread", false), ("16 samples a thread", true)];
+const VARIANTS: [(&str, bool); 2] = [("1 sample a thread", false), ("4 samples a thread", true)];
 const RATES: Rates = Rates {
     density: 0.0,
     features: 0.0,
@@ -48,8 +48,8 @@ fn forward(c: &mut Criterion<CpuTime>) {
     group.bench_function("cpu, rays", |b| b.iter(|| render_rays(&field, &plain)));
     let gpu = GpuBackend::open(&adapter(), 1 << 30).expect("an adapter");
     eprintln!("gpu: {}", gpu.device());
-    for (name, takes_many) in VARIANTS {
-        let trainer = gpu.open_variant(field.clone(), takes_many);
+    for (name, takes_four) in VARIANTS {
+        let trainer = gpu.open_variant(field.clone(), takes_four);
         let mut trainer = trainer.expect("the field fits");
         group.bench_function(format!("gpu, {name}, rays"), |b| {
             b.iter(|| trainer.forward(&rays, &LOSSES).expect("the device works"));
@@ -75,8 +75,8 @@ fn step(c: &mut Criterion<CpuTime>) {
     });
     drop(fastest);
     let gpu = GpuBackend::open(&adapter(), 1 << 30).expect("an adapter");
-    for (name, takes_many) in VARIANTS {
-        let trainer = gpu.open_variant(field(WIDTH), takes_many);
+    for (name, takes_four) in VARIANTS {
+        let trainer = gpu.open_variant(field(WIDTH), takes_four);
         let mut trainer = trainer.expect("the field fits");
         group.bench_function(format!("gpu, {name}, rays"), |b| {
             b.iter(|| {

@@ -12,7 +12,7 @@ use crate::backend::{AdapterChoice, AdapterKind, AdapterRecord};
 
 /// An open device with its queue. Cloning shares it.
 #[derive(Clone, Debug)]
-pub struct Device {
+pub(super) struct Device {
     pub(super) device: wgpu::Device,
     pub(super) queue: wgpu::Queue,
     pub(super) limits: wgpu::Limits,
@@ -31,7 +31,7 @@ impl Device {
     ///
     /// # Errors
     /// [`Error::NoAdapter`] where it is not there, [`Error::Open`] where the driver refuses.
-    pub fn open(choice: &AdapterChoice) -> Result<Self, Error> {
+    pub(super) fn open(choice: &AdapterChoice) -> Result<Self, Error> {
         let found = enumerate();
         let records: Vec<AdapterRecord> = found.iter().map(record).collect();
         let index = choice
@@ -94,7 +94,7 @@ impl Device {
     }
 
     /// The adapter's name, driver and kind, for people and provenance.
-    pub fn description(&self) -> String {
+    pub(super) fn description(&self) -> String {
         let wgpu::AdapterInfo {
             name,
             driver,
@@ -107,7 +107,7 @@ impl Device {
     }
 
     /// Largest buffer that a kernel can bind, bytes.
-    pub fn max_binding_bytes(&self) -> u64 {
+    pub(super) fn max_binding_bytes(&self) -> u64 {
         self.limits
             .max_storage_buffer_binding_size
             .min(self.limits.max_buffer_size)
@@ -185,7 +185,7 @@ impl Device {
     }
 
     /// Kernels dispatched so far.
-    pub fn dispatch_count(&self) -> u64 {
+    pub(super) fn dispatch_count(&self) -> u64 {
         self.dispatches.load(Ordering::Relaxed)
     }
 

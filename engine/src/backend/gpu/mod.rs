@@ -33,12 +33,14 @@ mod scene;
 #[cfg(test)]
 mod parity_tests;
 
-pub use device::{Device, adapters};
+pub use device::adapters;
 pub use durable::DurableGpu;
 pub use error::Error;
 pub use train::{GpuSums, GpuTrainer};
 
 use std::sync::Arc;
+
+use device::Device;
 
 use super::{AdapterChoice, Backend, LoadedField, Trainer};
 use crate::Result;
@@ -56,7 +58,7 @@ impl GpuBackend {
     /// Opens an adapter and compiles the kernels. Assets of `memory_bytes` stay on the device between renders.
     ///
     /// # Errors
-    /// [`Error::NoAdapter`] where it is not there; see [`Device::open`].
+    /// [`Error::NoAdapter`] where it is not there, [`Error::Open`] where the driver refuses.
     pub fn open(choice: &AdapterChoice, memory_bytes: u64) -> Result<Self, Error> {
         Self::on(Device::open(choice)?, memory_bytes)
     }
@@ -84,13 +86,13 @@ impl GpuBackend {
         self.scenes.resident_bytes()
     }
 
-    /// [`Self::open_trainer`] whose colour network takes many samples a thread, or one: for comparing the two.
+    /// [`Self::open_trainer`] whose colour network takes four samples a thread, or one: for comparing the two.
     ///
     /// # Errors
     /// As [`Self::open_trainer`].
     #[doc(hidden)]
-    pub fn open_variant(&self, field: Field, takes_many: bool) -> Result<GpuTrainer, Error> {
-        GpuTrainer::with_variant(self.device.clone(), field, takes_many)
+    pub fn open_variant(&self, field: Field, takes_four: bool) -> Result<GpuTrainer, Error> {
+        GpuTrainer::with_variant(self.device.clone(), field, takes_four)
     }
 
     /// Kernels dispatched on this device so far.

@@ -1,6 +1,5 @@
 //! Parity of every stage of a training step: samples, weights, features, colours, losses, gradients.
 
-use backlot_shaders::SAMPLES_PER_THREAD;
 use glam::{Quat, Vec3};
 
 use super::adapter::on_adapter;
@@ -74,27 +73,23 @@ fn parity_of_stages_with_networks_of_all_widths() {
 
 /// Devices use one of the two; both must be right.
 #[test]
-fn parity_of_networks_with_one_and_with_many_samples_a_thread() {
+fn parity_of_networks_with_one_and_with_four_samples_a_thread() {
     on_adapter("samples a thread", |gpu| {
-        // Not a multiple of the samples of a thread.
+        // Not a multiple of four slots.
         let mut scene = scene(16, LOSSES);
-        while on_cpu(&scene)
-            .0
-            .colored()
-            .is_multiple_of(SAMPLES_PER_THREAD)
-        {
+        while on_cpu(&scene).0.colored().is_multiple_of(4) {
             scene.rays.pop();
         }
         let cpu = on_cpu(&scene);
-        for takes_many in [false, true] {
+        for takes_four in [false, true] {
             let field = scene.field.clone();
-            let trainer = gpu.open_variant(field, takes_many);
+            let trainer = gpu.open_variant(field, takes_four);
             let stages = trainer
                 .unwrap()
                 .stages(&scene.rays, &scene.losses, &[])
                 .unwrap();
             let worst = compare_stages(&Gpu(stages.clone()), &cpu).unwrap();
-            println!("many: {takes_many}, largest deviations {worst:?}");
+            println!("four: {takes_four}, largest deviations {worst:?}");
             // Broken: the last of every four slots forgotten.
             let mut wrong = Gpu(stages);
             let samples = wrong.0.rays.iter_mut().flatten();

@@ -1,6 +1,6 @@
 //! What a batch of rays needs between its kernels.
 
-use backlot_shaders::{INPUT_BLOCKS, SAMPLES_PER_THREAD, layout};
+use backlot_shaders::{INPUT_BLOCKS, layout};
 use wgpu::BufferUsages;
 
 use super::network::{Block, layer_params, weight_blocks, width_blocks};
@@ -125,7 +125,8 @@ impl Batch {
         let samples = rays * capacity.samples_per_ray as usize;
         let step_rays = capacity.step_rays as usize;
         let blocks = capacity.shares as usize * weight_blocks(network);
-        let slots = samples.next_multiple_of(SAMPLES_PER_THREAD);
+        // Some kernels take four slots at a time.
+        let slots = samples.next_multiple_of(4);
         let neurons = slots * width_blocks(network);
         let storage = BufferUsages::STORAGE;
         let layer = |params: &layout::LayerParams| {

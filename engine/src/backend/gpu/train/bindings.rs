@@ -190,8 +190,7 @@ fn layer_gradients(
             gradients,
             &batch.weight_gradients.raw,
         ];
-        let kernel = &kernels.layer_gradients[number];
-        kernel.pipeline.bind(device, &own)
+        kernels.layer_gradients.bind(device, &own)
     };
     Ok([
         layer(0, &batch.slot_inputs.raw, &by_a.raw)?,

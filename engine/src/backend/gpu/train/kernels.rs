@@ -23,7 +23,7 @@ pub(super) struct TrainKernels {
     pub(super) forward: Arc<Pipeline>,
     pub(super) losses: Arc<Pipeline>,
     pub(super) backward: Arc<Pipeline>,
-    pub(super) layer_gradients: [LayerKernel; 3],
+    pub(super) layer_gradients: Arc<Pipeline>,
     pub(super) scatter: Arc<Pipeline>,
     pub(super) poses: Arc<Pipeline>,
     pub(super) sum: Arc<Pipeline>,
@@ -36,7 +36,7 @@ pub(super) struct TrainKernels {
 }
 
 impl TrainKernels {
-    /// The kernels for a field's densities and network, which takes many samples a thread, or one. Each is compiled once a device.
+    /// The kernels for a field's densities and network, which takes four samples a thread, or one. Each is compiled once a device.
     ///
     /// # Errors
     /// [`Error::Rejected`] where the driver does not take a kernel.
@@ -44,12 +44,12 @@ impl TrainKernels {
         device: &Device,
         shape: &ResidentField,
         network: MlpLayout,
-        takes_many: bool,
+        takes_four: bool,
     ) -> Result<Self, Error> {
         let plain = |kernel: &Kernel| device.pipeline(kernel, &[]);
         let width = [("WIDTH_BLOCKS", width_blocks(network) as f64)];
-        let backward = if takes_many {
-            kernels::NETWORK_BACKWARD_MANY
+        let backward = if takes_four {
+            kernels::NETWORK_BACKWARD_FOUR
         } else {
             kernels::NETWORK_BACKWARD
         };
@@ -70,10 +70,10 @@ impl TrainKernels {
             march: march_kernel(device, shape)?,
             composite: plain(&kernels::COMPOSITE_SAMPLES)?,
             gather: plain(&kernels::GATHER_INPUTS)?,
-            forward: forward(device, network, takes_many, true)?,
+            forward: forward(device, network, takes_four, true)?,
             losses: plain(&kernels::RAY_LOSSES)?,
             backward: device.pipeline(&backward, &width)?,
-            layer_gradients: layer_gradients(device, takes_many)?,
+            layer_gradients: plain(&kernels::LAYER_GRADIENTS)?,
             scatter: plain(&kernels::SCATTER_GRADIENTS)?,
             poses: plain(&kernels::POSE_GRADIENTS)?,
             sum: plain(&kernels::SUM_STEP)?,
@@ -94,11 +94,11 @@ impl TrainKernels {
 pub(super) fn forward(
     device: &Device,
     network: MlpLayout,
-    takes_many: bool,
+    takes_four: bool,
     keeps_hidden: bool,
 ) -> Result<Arc<Pipeline>, Error> {
-    let kernel = if takes_many {
-        kernels::NETWORK_FORWARD_MANY
+    let kernel = if takes_four {
+        kernels::NETWORK_FORWARD_FOUR
     } else {
         kernels::NETWORK_FORWARD
     };
@@ -107,32 +107,4 @@ pub(super) fn forward(
         ("KEEPS_HIDDEN", f64::from(u8::from(keeps_hidden))),
     ];
     device.pipeline(&kernel, &parameters)
-}
-
-/// What sums the gradients of one layer's weights.
-#[derive(Debug)]
-pub(super) struct LayerKernel {
-    pub(super) pipeline: Arc<Pipeline>,
-    /// Along one edge of a thread's tile of weights.
-    pub(super) tile_quads: u32,
-}
-
-/// The last layer has too few outputs for wide tiles.
-fn layer_gradients(device: &Device, takes_many: bool) -> Result<[LayerKernel; 3], Error> {
-    let plain = || -> Result<LayerKernel, Error> {
-        Ok(LayerKernel {
-            pipeline: device.pipeline(&kernels::LAYER_GRADIENTS, &[])?,
-            tile_quads: backlot_shaders::TILE_QUADS,
-        })
-    };
-    if !takes_many {
-        return Ok([plain()?, plain()?, plain()?]);
-    }
-    let wide = || -> Result<LayerKernel, Error> {
-        Ok(LayerKernel {
-            pipeline: device.pipeline(&kernels::LAYER_GRADIENTS_WIDE, &[])?,
-            tile_quads: backlot_shaders::WIDE_TILE_QUADS,
-        })
-    };
-    Ok([wide()?, wide()?, plain()?])
 }

@@ -70,8 +70,8 @@ pub struct GpuSums {
 pub struct GpuTrainer {
     device: Device,
     kernels: TrainKernels,
-    /// Whether the colour network takes many samples a thread.
-    takes_many: bool,
+    /// Whether the colour network takes four samples a thread.
+    takes_four: bool,
     /// As of the last [`Self::fetch`], but for the bricks, which are always up to date.
     field: Field,
     squares: Vec<LevelSquares>,
@@ -104,22 +104,22 @@ impl GpuTrainer {
     /// [`Error::TooLarge`] or [`Error::OutOfMemory`] where it does not fit, [`Error::Lost`] and [`Error::Rejected`].
     pub(super) fn new(device: Device, field: Field) -> Result<Self, Error> {
         // Reading a weight is broadcast for free on a GPU, and dearer than using it in software.
-        let takes_many = device.is_software();
-        Self::with_variant(device, field, takes_many)
+        let takes_four = device.is_software();
+        Self::with_variant(device, field, takes_four)
     }
 
-    /// [`Self::new`] whose colour network takes many samples a thread, or one, whatever suits the device.
+    /// [`Self::new`] whose colour network takes four samples a thread, or one, whatever suits the device.
     pub(super) fn with_variant(
         device: Device,
         field: Field,
-        takes_many: bool,
+        takes_four: bool,
     ) -> Result<Self, Error> {
         let network = field.mlp.layout();
         let mut squares = vec![LevelSquares::default(); field.levels.len()];
         let lattices = Lattices::upload(&device, &field, &mut squares)?;
         let mut trainer = Self {
-            kernels: TrainKernels::new(&device, &lattices.shape, network, takes_many)?,
-            takes_many,
+            kernels: TrainKernels::new(&device, &lattices.shape, network, takes_four)?,
+            takes_four,
             march_params: Buffer::zeroed(&device, "march parameters", 1, BufferUsages::UNIFORM)?,
             step: StepBuffers::new(&device, network)?,
             network: ResidentNetwork::upload(&device, &field.mlp)?,
@@ -255,7 +255,7 @@ impl GpuTrainer {
     pub fn forward(&mut self, rays: &[TrainRay], losses: &RayLosses) -> Result<(), Error> {
         self.upload(rays.len())?;
         let network = self.field.mlp.layout();
-        let kernel = kernels::forward(&self.device, network, self.takes_many, false)?;
+        let kernel = kernels::forward(&self.device, network, self.takes_four, false)?;
         let (lattices, batch, _) = self.resident();
         let bound = bindings::forward(&self.device, &kernel, self.buffers(lattices, batch))?;
         let room = batch.capacity.rays as usize;
@@ -292,7 +292,7 @@ impl GpuTrainer {
             let lattices = Lattices::upload(&self.device, field, squares)?;
             let network = field.mlp.layout();
             self.kernels =
-                TrainKernels::new(&self.device, &lattices.shape, network, self.takes_many)?;
+                TrainKernels::new(&self.device, &lattices.shape, network, self.takes_four)?;
             self.lattices = Some(lattices);
             self.samples_per_ray = most_samples(field);
             self.bindings = None;
@@ -407,12 +407,10 @@ impl GpuTrainer {
             sequence.run(&kernels.losses, &bindings.losses, per_ray);
             sequence.run(&kernels.backward, &bindings.backward, free);
             let layers = layer_params(trainer.field.mlp.layout());
-            let kernels_of_layers = kernels.layer_gradients.iter();
-            let layers = layers.iter().zip(&bindings.layer_gradients);
-            for ((layer, bound), kernel) in layers.zip(kernels_of_layers) {
-                let threads = gradient_tiles(layer, kernel.tile_quads) * batch.capacity.shares;
-                let groups = kernel.pipeline.groups(device, threads);
-                sequence.run(&kernel.pipeline, bound, groups);
+            for (layer, bound) in layers.iter().zip(&bindings.layer_gradients) {
+                let threads = gradient_tiles(layer) * batch.capacity.shares;
+                let groups = kernels.layer_gradients.groups(device, threads);
+                sequence.run(&kernels.layer_gradients, bound, groups);
             }
             for part in &bindings.parts {
                 sequence.run(&kernels.scatter, &part.scatter, free);

@@ -105,9 +105,9 @@ pub(super) fn layer_params(layout: MlpLayout) -> [LayerParams; 3] {
     ]
 }
 
-/// Tiles of so many quads along each edge that cover a layer's weights.
-pub(super) fn gradient_tiles(layer: &LayerParams, tile_quads: u32) -> u32 {
-    layer.input_quads.div_ceil(tile_quads) * layer.output_quads.div_ceil(tile_quads)
+/// Tiles of 4 x 4 blocks that cover a layer's weights.
+pub(super) fn gradient_tiles(layer: &LayerParams) -> u32 {
+    layer.input_quads.div_ceil(4) * layer.output_quads.div_ceil(4)
 }
 
 fn pack(mlp: &ColorMlp) -> Vec<Block> {

@@ -1,7 +1,6 @@
-// The colour network of sixteen samples at once, for adapters on which reading a weight costs as much as using it ten times: software.
+// The colour network of four samples at once, for adapters on which reading a weight costs as much as using it.
 //
-// A Tile's column is a sample, its rows four neurons; a thread has four tiles, written out one by one. Weights and terms are as in
-// network.wgsl.
+// A Tile's column is a sample, its rows four neurons. Weights and terms are as in network.wgsl.
 
 // Hidden width in quads: 4, 8, 16 or 32.
 override WIDTH_BLOCKS: u32;
@@ -9,34 +8,13 @@ override WIDTH_BLOCKS: u32;
 const INPUT_BLOCKS: u32 = 10u;
 const FEATURE_BLOCKS: u32 = 3u;
 const MAX_WIDTH_BLOCKS: u32 = 32u;
-// Samples of a thread, and of a tile.
-const MANY: u32 = 16u;
-const TILE: u32 = 4u;
 
 alias Tile = mat4x4<f32>;
-
-// The same neurons of all of a thread's samples.
-struct Tiles {
-    a: Tile,
-    b: Tile,
-    c: Tile,
-    d: Tile,
-}
-
-alias Inputs = array<Tiles, INPUT_BLOCKS>;
-alias Hidden = array<Tiles, MAX_WIDTH_BLOCKS>;
+alias Inputs = array<Tile, INPUT_BLOCKS>;
+alias Hidden = array<Tile, MAX_WIDTH_BLOCKS>;
 
 // sum + weights * x.
-fn multiply_add(sum: Tiles, w: Tile, x: Tiles) -> Tiles {
-    return Tiles(
-        tile_add(sum.a, w, x.a),
-        tile_add(sum.b, w, x.b),
-        tile_add(sum.c, w, x.c),
-        tile_add(sum.d, w, x.d),
-    );
-}
-
-fn tile_add(sum: Tile, w: Tile, x: Tile) -> Tile {
+fn multiply_add(sum: Tile, w: Tile, x: Tile) -> Tile {
     return Tile(
         sum[0] + w[0] * x[0].x + w[1] * x[0].y + w[2] * x[0].z + w[3] * x[0].w,
         sum[1] + w[0] * x[1].x + w[1] * x[1].y + w[2] * x[1].z + w[3] * x[1].w,
@@ -46,16 +24,7 @@ fn tile_add(sum: Tile, w: Tile, x: Tile) -> Tile {
 }
 
 // sum + transposed weights * gradient.
-fn multiply_back(sum: Tiles, w: Tile, gradient: Tiles) -> Tiles {
-    return Tiles(
-        tile_back(sum.a, w, gradient.a),
-        tile_back(sum.b, w, gradient.b),
-        tile_back(sum.c, w, gradient.c),
-        tile_back(sum.d, w, gradient.d),
-    );
-}
-
-fn tile_back(sum: Tile, w: Tile, gradient: Tile) -> Tile {
+fn multiply_back(sum: Tile, w: Tile, gradient: Tile) -> Tile {
     return Tile(
         sum[0] + gradient[0] * w,
         sum[1] + gradient[1] * w,
@@ -64,11 +33,7 @@ fn tile_back(sum: Tile, w: Tile, gradient: Tile) -> Tile {
     );
 }
 
-fn rectified(x: Tiles) -> Tiles {
-    return Tiles(positive(x.a), positive(x.b), positive(x.c), positive(x.d));
-}
-
-fn positive(x: Tile) -> Tile {
+fn rectified(x: Tile) -> Tile {
     let zero = vec4<f32>(0.0);
     return Tile(max(x[0], zero), max(x[1], zero), max(x[2], zero), max(x[3], zero));
 }
@@ -85,15 +50,14 @@ fn where_positive(neurons: Tile, gradient: Tile) -> Tile {
 }
 
 // The same four biases for every sample.
-fn for_all_samples(bias: vec4<f32>) -> Tiles {
-    let tile = Tile(bias, bias, bias, bias);
-    return Tiles(tile, tile, tile, tile);
+fn for_all_samples(bias: vec4<f32>) -> Tile {
+    return Tile(bias, bias, bias, bias);
 }
 
 // Four neurons of the first hidden layer.
-fn hidden_1(row: u32, x: ptr<function, Inputs>) -> Tiles {
+fn hidden_1(row: u32, x: ptr<function, Inputs>) -> Tile {
     let w = row * INPUT_BLOCKS;
-    var sum = multiply_add(Tiles(), layer_1[w], (*x)[0]);
+    var sum = multiply_add(Tile(), layer_1[w], (*x)[0]);
     sum = multiply_add(sum, layer_1[w + 1u], (*x)[1]);
     sum = multiply_add(sum, layer_1[w + 2u], (*x)[2]);
     sum = multiply_add(sum, layer_1[w + 3u], (*x)[3]);
@@ -106,7 +70,7 @@ fn hidden_1(row: u32, x: ptr<function, Inputs>) -> Tiles {
 }
 
 // Four terms of a row of layer 2 from quad `at` on.
-fn four_of_row(sum: Tiles, w: u32, x: ptr<function, Hidden>, at: u32) -> Tiles {
+fn four_of_row(sum: Tile, w: u32, x: ptr<function, Hidden>, at: u32) -> Tile {
     var next = multiply_add(sum, layer_2[w + at], (*x)[at]);
     next = multiply_add(next, layer_2[w + at + 1u], (*x)[at + 1u]);
     next = multiply_add(next, layer_2[w + at + 2u], (*x)[at + 2u]);
@@ -114,7 +78,7 @@ fn four_of_row(sum: Tiles, w: u32, x: ptr<function, Hidden>, at: u32) -> Tiles {
 }
 
 // Four neurons of the second hidden layer.
-fn hidden_2(row: u32, x: ptr<function, Hidden>) -> Tiles {
+fn hidden_2(row: u32, x: ptr<function, Hidden>) -> Tile {
     let w = row * WIDTH_BLOCKS;
     var sum = four_of_row(for_all_samples(layer_3[WIDTH_BLOCKS + row][0]), w, x, 0u);
     if WIDTH_BLOCKS >= 8u {
@@ -134,8 +98,8 @@ fn hidden_2(row: u32, x: ptr<function, Hidden>) -> Tiles {
 }
 
 // Gradient by four neurons of the first hidden layer.
-fn back_to_hidden(row: u32, by_b: ptr<function, Hidden>) -> Tiles {
-    var sum = four_back(Tiles(), row, by_b, 0u);
+fn back_to_hidden(row: u32, by_b: ptr<function, Hidden>) -> Tile {
+    var sum = four_back(Tile(), row, by_b, 0u);
     if WIDTH_BLOCKS >= 8u {
         sum = four_back(sum, row, by_b, 4u);
     }
@@ -152,7 +116,7 @@ fn back_to_hidden(row: u32, by_b: ptr<function, Hidden>) -> Tiles {
     return sum;
 }
 
-fn four_back(sum: Tiles, row: u32, by_b: ptr<function, Hidden>, at: u32) -> Tiles {
+fn four_back(sum: Tile, row: u32, by_b: ptr<function, Hidden>, at: u32) -> Tile {
     var next = multiply_back(sum, layer_2[at * WIDTH_BLOCKS + row], (*by_b)[at]);
     next = multiply_back(next, layer_2[(at + 1u) * WIDTH_BLOCKS + row], (*by_b)[at + 1u]);
     next = multiply_back(next, layer_2[(at + 2u) * WIDTH_BLOCKS + row], (*by_b)[at + 2u]);
