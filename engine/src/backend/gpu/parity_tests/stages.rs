@@ -147,6 +147,9 @@ fn parity_of_rays_that_are_trimmed() {
     agree("trimmed depth", &scene(16, losses), LOSSES);
 }
 
+/// Makes a scene wrong on purpose.
+type Break = fn(&mut Scene);
+
 #[test]
 fn parity_of_exposures_and_poses_of_views() {
     on_adapter("exposures and poses", |gpu| {
@@ -155,7 +158,7 @@ fn parity_of_exposures_and_poses_of_views() {
         let right = on_cpu(&scene);
         let worst = compare_stages(&device, &right).unwrap();
         println!("exposures and poses: largest deviations {worst:?}");
-        let broken: [(&str, fn(&mut Scene)); 4] = [
+        let broken: [(&str, Break); 4] = [
             ("mirrored rays taken for recorded ones", |scene| {
                 scene.rays.iter_mut().for_each(|ray| ray.mirrored = false);
             }),
