@@ -10,6 +10,8 @@ mod mask_matching;
 
 mod decompose;
 
+mod segmenter;
+
 mod bad_input;
 
 mod data_dir;

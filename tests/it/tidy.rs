@@ -65,6 +65,14 @@ const FENCES: &[Fence] = &[
         ],
     },
     Fence {
+        name: "ort",
+        allowed: &["server/src/segment/onnxruntime.rs"],
+    },
+    Fence {
+        name: "tract_onnx",
+        allowed: &["server/src/segment/tract.rs"],
+    },
+    Fence {
         name: "object_store",
         allowed: &["server/src/store/"],
     },

@@ -7,7 +7,8 @@ use backlot_client::read_log::ReadLog;
 use backlot_proto::v1;
 use image::{ImageBuffer, ImageFormat, Luma};
 
-type Mask = ImageBuffer<Luma<u16>, Vec<u16>>;
+/// Values row-major.
+pub type Mask = ImageBuffer<Luma<u16>, Vec<u16>>;
 
 /// Objects of which less is seen are found by no segmenter.
 const LEAST_SEEN_PX: usize = 40;
@@ -35,7 +36,7 @@ pub fn damage(log: &mut ReadLog, seed: u64) -> Truths {
     let mut truths = Vec::new();
     for index in 0..log.drive_log.frames.len() {
         let known = log.drive_log.frames[index].instance_mask.take();
-        let exact = read(log, &known.expect("generated frames have masks"));
+        let exact = read_mask(log, &known.expect("generated frames have masks"));
         let (free, truth) = damaged(&exact, &mut random);
         let mut bytes = Cursor::new(Vec::new());
         free.write_to(&mut bytes, ImageFormat::Png)
@@ -47,7 +48,11 @@ pub fn damage(log: &mut ReadLog, seed: u64) -> Truths {
     truths
 }
 
-fn read(log: &ReadLog, blob: &v1::BlobRef) -> Mask {
+/// An instance mask of a generated log.
+///
+/// # Panics
+/// If it is not there or no PNG.
+pub fn read_mask(log: &ReadLog, blob: &v1::BlobRef) -> Mask {
     let bytes = log.blobs[&blob.digest].read().expect("the mask is there");
     image::load_from_memory(&bytes)
         .expect("it is a PNG")

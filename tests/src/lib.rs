@@ -8,6 +8,10 @@ pub mod logs;
 
 pub mod damaged_masks;
 
+pub mod onnx;
+
+pub mod painted;
+
 pub mod state;
 
 pub use programs::{Finished, backlot, backlotd};

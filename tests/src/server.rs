@@ -120,8 +120,16 @@ impl Drop for Server {
 /// # Panics
 /// If it is still running after a minute.
 pub fn refused_start(data_dir: &Path) -> (ExitStatus, String) {
+    refused_start_with(data_dir, &[])
+}
+
+/// As [`refused_start`], with further arguments.
+///
+/// # Panics
+/// As [`refused_start`].
+pub fn refused_start_with(data_dir: &Path, arguments: &[&str]) -> (ExitStatus, String) {
     let log = log_path(data_dir);
-    let mut process = spawn(data_dir, free_port(), &[], &log);
+    let mut process = spawn(data_dir, free_port(), arguments, &log);
     let begun = Instant::now();
     loop {
         if let Some(status) = process.try_wait().expect("the process can be asked") {
