@@ -1,11 +1,10 @@
 //! Backgrounds trained without LiDAR: depth maps and points of structure from motion must do what LiDAR does, and wrong ones must not
 //! pass. Logs go through the wire form, validation and decomposition as an upload and its job do.
 
-use std::collections::BTreeMap;
 use std::io;
 
 use backlot_client::generator::{DepthRecording, StreetConfig, StreetWorld};
-use backlot_client::read_log::{BlobSource, ReadLog};
+use backlot_client::read_log::ReadLog;
 use backlot_engine::backend::cpu::CpuBackend;
 use backlot_engine::field::{Field, Ray};
 use backlot_engine::quality::render_rays;
@@ -13,29 +12,12 @@ use backlot_engine::train::{Budget, NoControl, RayMix, TrainPreset, train_backgr
 use backlot_engine::view::{PixelLabel, Split, TrainView};
 use backlot_proto::v1;
 use backlot_server::api::convert_drive_log::drive_log_from_wire;
-use backlot_server::domain::blob::BlobRef;
-use backlot_server::ingest::{BackgroundSet, LogBlobs, LogLabels, background_set, validate};
-use bytes::Bytes;
+use backlot_server::ingest::{BackgroundSet, LogLabels, background_set, validate};
 use image::{DynamicImage, ImageBuffer, ImageFormat, Luma};
 
 /// Depth is compared up to here, over the best share of the pixels, as quality reports do.
 const RANGE_M: f64 = 50.0;
 const SHARE: f64 = 0.95;
-
-struct MemoryBlobs(BTreeMap<String, BlobSource>);
-
-impl LogBlobs for MemoryBlobs {
-    type Error = io::Error;
-
-    fn size_bytes(&self, blob: &BlobRef) -> io::Result<Option<u64>> {
-        Ok(Some(self.read(blob)?.len() as u64))
-    }
-
-    fn read(&self, blob: &BlobRef) -> io::Result<Bytes> {
-        let source = self.0.get(&blob.digest.to_string());
-        source.ok_or(io::ErrorKind::NotFound)?.read()
-    }
-}
 
 /// A short drive with a wide lens, where depth along the axis and distance differ by half at the border.
 fn street(depth: DepthRecording) -> StreetWorld {
@@ -57,15 +39,14 @@ fn street(depth: DepthRecording) -> StreetWorld {
 fn decomposed(log: ReadLog) -> BackgroundSet {
     let wire = v1::DriveLog {
         name: "driveLogs/street".to_owned(),
-        ..log.drive_log
+        ..log.drive_log.clone()
     };
     let drive_log = drive_log_from_wire(wire).expect("the log converts");
-    let blobs = MemoryBlobs(log.blobs);
-    let accepted = validate(&drive_log, &blobs).expect("blobs are in memory");
+    let accepted = validate(&drive_log, &log).expect("blobs are in memory");
     accepted.expect("the log is valid");
     let set = background_set(
         &drive_log,
-        &blobs,
+        &log,
         &LogLabels::default(),
         4,
         u32::MAX,

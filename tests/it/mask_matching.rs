@@ -1,31 +1,10 @@
 //! Masks that name no track, damaged as segmenters damage them, matched to the tracks of a generated log.
 
-use std::collections::BTreeMap;
-use std::io;
-
-use backlot_client::read_log::{BlobSource, ReadLog};
+use backlot_client::read_log::ReadLog;
 use backlot_e2e::damaged_masks::{Truth, Truths, damage};
 use backlot_e2e::logs;
 use backlot_server::api::convert_drive_log::drive_log_from_wire;
-use backlot_server::domain::blob::BlobRef;
-use backlot_server::ingest::{
-    LogBlobs, LogMasks, MaskMatching, MaskOutcome, MatchedMasks, match_masks,
-};
-use bytes::Bytes;
-
-struct Blobs(BTreeMap<String, BlobSource>);
-
-impl LogBlobs for Blobs {
-    type Error = io::Error;
-
-    fn size_bytes(&self, blob: &BlobRef) -> io::Result<Option<u64>> {
-        Ok(Some(self.read(blob)?.len() as u64))
-    }
-
-    fn read(&self, blob: &BlobRef) -> io::Result<Bytes> {
-        self.0[&blob.digest.to_string()].read()
-    }
-}
+use backlot_server::ingest::{LogMasks, MaskMatching, MaskOutcome, MatchedMasks, match_masks};
 
 /// How the masks of a log were matched, against what they are.
 #[derive(Debug, Default)]
@@ -66,11 +45,10 @@ impl Score {
 }
 
 fn matched(log: ReadLog, matching: &MaskMatching) -> MatchedMasks {
-    let mut wire = log.drive_log;
+    let mut wire = log.drive_log.clone();
     wire.name = "driveLogs/crowded".to_owned();
     let drive_log = drive_log_from_wire(wire).unwrap();
-    let blobs = Blobs(log.blobs);
-    let masks = match_masks(&drive_log, &LogMasks(&blobs), matching, |_, _| true);
+    let masks = match_masks(&drive_log, &LogMasks(&log), matching, |_, _| true);
     masks.unwrap().unwrap()
 }
 

@@ -2,7 +2,6 @@
 //!
 //! `cargo run --release -p backlot-client --example background -- --preset standard --train-s 600 --looks-s 300,600`
 
-mod blobs;
 mod clock;
 mod measure;
 
@@ -143,14 +142,13 @@ fn street(arguments: &Arguments) -> Result<BackgroundInput> {
     };
     let mut log = StreetWorld::new(&config)?.read_log()?;
     log.drive_log.name = "driveLogs/street".to_owned();
-    let drive_log = match drive_log_from_wire(log.drive_log) {
+    let drive_log = match drive_log_from_wire(log.drive_log.clone()) {
         Ok(drive_log) => drive_log,
         Err(violations) => bail!("the generated log is not valid: {violations:?}"),
     };
-    let blobs = blobs::MemoryBlobs(log.blobs);
     let every = arguments.hold_out_every;
     let labels = LogLabels::default();
-    let set = background_set(&drive_log, &blobs, &labels, every, u32::MAX, |_, _| true)?;
+    let set = background_set(&drive_log, &log, &labels, every, u32::MAX, |_, _| true)?;
     Ok(set.expect("nothing stops it").input)
 }
 

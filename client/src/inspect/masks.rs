@@ -5,13 +5,10 @@ use std::io;
 use backlot_engine::view::PixelLabel;
 use backlot_proto::v1;
 use backlot_server::api::convert_drive_log::drive_log_from_wire;
-use backlot_server::domain::blob::BlobRef;
 use backlot_server::domain::drive_log::DriveLog;
 use backlot_server::ingest::{
-    FrameMasks, LogBlobs, LogMasks, MaskMatching, MatchedMasks, ObjectMask, frame_masks,
-    match_masks,
+    FrameMasks, LogMasks, MaskMatching, MatchedMasks, ObjectMask, frame_masks, match_masks,
 };
-use bytes::Bytes;
 use glam::{DVec2, DVec3};
 use image::{Rgb, RgbImage};
 
@@ -43,23 +40,6 @@ pub struct MaskPictures<'a> {
     masks: MatchedMasks,
 }
 
-struct Blobs<'a>(&'a ReadLog);
-
-impl LogBlobs for Blobs<'_> {
-    type Error = io::Error;
-
-    fn size_bytes(&self, blob: &BlobRef) -> io::Result<Option<u64>> {
-        Ok(Some(blob.size_bytes))
-    }
-
-    fn read(&self, blob: &BlobRef) -> io::Result<Bytes> {
-        self.0.read_blob(&v1::BlobRef {
-            digest: blob.digest.to_string(),
-            size_bytes: blob.size_bytes,
-        })
-    }
-}
-
 impl<'a> MaskPictures<'a> {
     /// Matches masks that name no track, if the log brings such.
     ///
@@ -71,9 +51,8 @@ impl<'a> MaskPictures<'a> {
             ..read.drive_log.clone()
         };
         let log = drive_log_from_wire(wire).map_err(|e| unusable(format!("{e:?}")))?;
-        let source = Blobs(read);
         let matching = MaskMatching::default();
-        let masks = match_masks(&log, &LogMasks(&source), &matching, |_, _| true);
+        let masks = match_masks(&log, &LogMasks(read), &matching, |_, _| true);
         let masks = masks.map_err(|e| unusable(e.to_string()))?;
         Ok(Self {
             read,
@@ -92,7 +71,7 @@ impl<'a> MaskPictures<'a> {
         let index = frames
             .position(|f| f.camera_id == frame.camera_id && f.frame_index == frame.frame_index);
         let index = index.ok_or_else(|| unusable("the frame is not of the log".to_owned()))?;
-        let found = frame_masks(&self.log, &Blobs(self.read), &self.masks, index);
+        let found = frame_masks(&self.log, self.read, &self.masks, index);
         let found = found.map_err(|e| unusable(e.to_string()))?;
         let image = frame.image.as_ref();
         let image = image.ok_or_else(|| unusable("the frame has no image".to_owned()))?;
@@ -210,7 +189,7 @@ mod tests {
         }
         let frame = &log.drive_log.frames[1];
         let pictures = MaskPictures::new(&log).unwrap();
-        let found = frame_masks(&pictures.log, &Blobs(&log), &pictures.masks, 1).unwrap();
+        let found = frame_masks(&pictures.log, &log, &pictures.masks, 1).unwrap();
         let mask = truth.drive_log.frames[1].instance_mask.as_ref().unwrap();
         let mask = image::load_from_memory(&truth.read_blob(mask).unwrap());
         let mask = mask.unwrap().into_luma16();

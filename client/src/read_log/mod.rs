@@ -4,6 +4,8 @@ mod error;
 
 mod spool;
 
+mod log_blobs;
+
 pub(crate) mod choice;
 pub(crate) mod contained;
 pub(crate) mod content;
