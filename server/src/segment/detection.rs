@@ -86,6 +86,22 @@ fn centres(least: f64, most: f64, length: u32) -> std::ops::Range<u32> {
     start..pixel(most).max(start)
 }
 
+/// A model's outputs, their shapes and numbers checked.
+pub(super) trait Detector {
+    /// Boxes of road users that the model is sure enough of.
+    fn detections(&self, decoding: &Decoding) -> Vec<Detection>;
+
+    /// A box with its mask; `None` if it has no pixel in the image.
+    fn instance(&self, found: &Detection, letterbox: &Letterbox) -> Option<Instance>;
+
+    /// Instances in the image that `letterbox` put into the model's input, best first.
+    fn instances(&self, letterbox: &Letterbox, decoding: &Decoding) -> Vec<Instance> {
+        let kept = suppress(self.detections(decoding), decoding.most_iou);
+        let masked = |found: &Detection| self.instance(found, letterbox);
+        kept.iter().filter_map(masked).collect()
+    }
+}
+
 /// Greedy non-maximum suppression: the surest boxes that overlap no surer one of their class by more than `most_iou`, best first, at
 /// most [`MOST_INSTANCES`]. Equal scores go by their index, so that the outcome does not depend on the order of `detections`.
 pub(super) fn suppress(mut detections: Vec<Detection>, most_iou: f64) -> Vec<Detection> {

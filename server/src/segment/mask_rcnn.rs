@@ -5,7 +5,7 @@
 
 use glam::DVec2;
 
-use super::detection::{Decoding, Detection, suppress};
+use super::detection::{Decoding, Detection, Detector};
 use super::error::SegmentError;
 use super::instance::Instance;
 use super::letterbox::Letterbox;
@@ -37,13 +37,7 @@ pub(super) fn instances(
     letterbox: &Letterbox,
     decoding: &Decoding,
 ) -> Result<Vec<Instance>, SegmentError> {
-    let model = MaskRcnn::of(outputs)?;
-    model.boxes.require_finite("a box")?;
-    model.scores.require_finite("a score")?;
-    model.masks.require_finite("a mask")?;
-    let kept = suppress(model.detections(decoding), decoding.most_iou);
-    let masked = |found: &Detection| model.instance(found, letterbox);
-    Ok(kept.iter().filter_map(masked).collect())
+    Ok(MaskRcnn::of(outputs)?.instances(letterbox, decoding))
 }
 
 impl<'a> MaskRcnn<'a> {
@@ -63,6 +57,10 @@ impl<'a> MaskRcnn<'a> {
         if of_each != [true, true] || of_masks != count || !has_pixels {
             return Err(wrong());
         }
+        boxes.require_finite("a box")?;
+        labels.require_finite("a label")?;
+        scores.require_finite("a score")?;
+        masks.require_finite("a mask")?;
         Ok(Self {
             boxes,
             labels,
@@ -72,7 +70,9 @@ impl<'a> MaskRcnn<'a> {
             size: (width, height),
         })
     }
+}
 
+impl Detector for MaskRcnn<'_> {
     fn detections(&self, decoding: &Decoding) -> Vec<Detection> {
         let found = |index: usize| {
             let score = self.scores.values[index];

@@ -6,7 +6,7 @@
 
 use glam::DVec2;
 
-use super::detection::{Decoding, Detection, suppress};
+use super::detection::{Decoding, Detection, Detector};
 use super::error::SegmentError;
 use super::instance::Instance;
 use super::letterbox::Letterbox;
@@ -39,12 +39,7 @@ pub(super) fn instances(
     letterbox: &Letterbox,
     decoding: &Decoding,
 ) -> Result<Vec<Instance>, SegmentError> {
-    let yolo = Yolo::of(outputs)?;
-    yolo.rows.require_finite("a box, score or coefficient")?;
-    yolo.prototypes.require_finite("a prototype")?;
-    let kept = suppress(yolo.detections(decoding), decoding.most_iou);
-    let masked = |found: &Detection| yolo.instance(found, letterbox);
-    Ok(kept.iter().filter_map(masked).collect())
+    Ok(Yolo::of(outputs)?.instances(letterbox, decoding))
 }
 
 impl<'a> Yolo<'a> {
@@ -64,11 +59,14 @@ impl<'a> Yolo<'a> {
         };
         let classes = row_count.checked_sub(BOX_ROWS + coefficients);
         let classes = classes.filter(|c| *c > 0 && coefficients * height * width > 0);
+        let classes = classes.ok_or_else(wrong)?;
+        rows.tensor.require_finite("a box, score or coefficient")?;
+        prototypes.tensor.require_finite("a prototype")?;
         Ok(Self {
             rows: &rows.tensor,
             prototypes: &prototypes.tensor,
             boxes,
-            classes: classes.ok_or_else(wrong)?,
+            classes,
             coefficients,
             size: (width, height),
         })
@@ -76,28 +74,6 @@ impl<'a> Yolo<'a> {
 
     fn value(&self, row: usize, index: usize) -> f32 {
         self.rows.values[row * self.boxes + index]
-    }
-
-    /// Boxes whose best class is a road user, and sure enough.
-    fn detections(&self, decoding: &Decoding) -> Vec<Detection> {
-        let found = |index: usize| {
-            let (class, score) = self.best_class(index);
-            let class = *decoding.classes.get(&class)?;
-            if score < decoding.least_score {
-                return None;
-            }
-            let part = |row: usize| f64::from(self.value(row, index));
-            let centre = DVec2::new(part(0), part(1));
-            let half = DVec2::new(part(2), part(3)) / 2.0;
-            Some(Detection {
-                class,
-                score,
-                least: centre - half,
-                most: centre + half,
-                index,
-            })
-        };
-        (0..self.boxes).filter_map(found).collect()
     }
 
     fn best_class(&self, index: usize) -> (u32, f32) {
@@ -109,29 +85,6 @@ impl<'a> Yolo<'a> {
             }
         }
         best
-    }
-
-    fn instance(&self, found: &Detection, letterbox: &Letterbox) -> Option<Instance> {
-        let (width, height) = letterbox.input_size();
-        let scale = DVec2::new(
-            self.size.0 as f64 / f64::from(width),
-            self.size.1 as f64 / f64::from(height),
-        );
-        // The prototypes' pixels that the box reaches, and one more for reading between them.
-        let first = |at: f64, end: usize| ((at - 0.5).floor().max(0.0) as usize).min(end - 1);
-        let end = |at: f64, end: usize| ((at + 1.5).ceil().max(1.0) as usize).min(end);
-        let (least, most) = (found.least * scale, found.most * scale);
-        let columns = first(least.x, self.size.0)..end(most.x, self.size.0);
-        let rows = first(least.y, self.size.1)..end(most.y, self.size.1);
-        if columns.is_empty() || rows.is_empty() {
-            return None;
-        }
-        let start = DVec2::new(columns.start as f64, rows.start as f64);
-        let plane = self.logits(found.index, columns, rows);
-        found.instance(letterbox, |input_px| {
-            let at = input_px * scale - start;
-            plane.at(at.x, at.y, Beyond::Same) > 0.0
-        })
     }
 
     /// The sum of the prototypes by a box's coefficients, over a part of them.
@@ -161,9 +114,57 @@ impl<'a> Yolo<'a> {
     }
 }
 
+impl Detector for Yolo<'_> {
+    /// By the best class of each box.
+    fn detections(&self, decoding: &Decoding) -> Vec<Detection> {
+        let found = |index: usize| {
+            let (class, score) = self.best_class(index);
+            let class = *decoding.classes.get(&class)?;
+            if score < decoding.least_score {
+                return None;
+            }
+            let part = |row: usize| f64::from(self.value(row, index));
+            let centre = DVec2::new(part(0), part(1));
+            let half = DVec2::new(part(2), part(3)) / 2.0;
+            Some(Detection {
+                class,
+                score,
+                least: centre - half,
+                most: centre + half,
+                index,
+            })
+        };
+        (0..self.boxes).filter_map(found).collect()
+    }
+
+    fn instance(&self, found: &Detection, letterbox: &Letterbox) -> Option<Instance> {
+        let (width, height) = letterbox.input_size();
+        let scale = DVec2::new(
+            self.size.0 as f64 / f64::from(width),
+            self.size.1 as f64 / f64::from(height),
+        );
+        // The prototypes' pixels that the box reaches, and one more for reading between them.
+        let first = |at: f64, end: usize| ((at - 0.5).floor().max(0.0) as usize).min(end - 1);
+        let end = |at: f64, end: usize| ((at + 1.5).ceil().max(1.0) as usize).min(end);
+        let (least, most) = (found.least * scale, found.most * scale);
+        let columns = first(least.x, self.size.0)..end(most.x, self.size.0);
+        let rows = first(least.y, self.size.1)..end(most.y, self.size.1);
+        if columns.is_empty() || rows.is_empty() {
+            return None;
+        }
+        let start = DVec2::new(columns.start as f64, rows.start as f64);
+        let plane = self.logits(found.index, columns, rows);
+        found.instance(letterbox, |input_px| {
+            let at = input_px * scale - start;
+            plane.at(at.x, at.y, Beyond::Same) > 0.0
+        })
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::segment::detection::suppress;
     use crate::segment::detection::tests::decoding;
     use proptest::prelude::*;
 
