@@ -117,8 +117,7 @@ pub(crate) fn encode_mask(mask: Vec<u16>, size: (u32, u32)) -> Vec<u8> {
 
 impl Segmentation {
     /// The log with the masks as if it had brought them.
-    pub(crate) fn over(&self, log: &DriveLog) -> DriveLog {
-        let mut log = log.clone();
+    pub(crate) fn over(&self, mut log: DriveLog) -> DriveLog {
         for (&index, segmented) in &self.frames {
             log.frames[index].free_instance_mask = Some(segmented.mask);
         }

@@ -103,7 +103,7 @@ fn masks_are_matched_within_their_class() {
     let (log, blobs, found) = segmented(RoadUser::Vehicle);
     let instances: usize = found.frames.values().map(|f| f.instances.len()).sum();
     assert!(instances > 20 && found.summary().contains(&instances.to_string()));
-    let log_with_masks = found.over(&log);
+    let log_with_masks = found.over(log.clone());
     assert!(log_with_masks.frames[0].free_instance_mask.is_none());
     let counts = matched(&log_with_masks, &blobs, &found).counts();
     let as_count = |count: usize| u32::try_from(count).unwrap();
@@ -111,7 +111,7 @@ fn masks_are_matched_within_their_class() {
     assert_eq!(counts.values().sum::<u32>(), as_count(instances));
 
     let (log, blobs, found) = segmented(RoadUser::Pedestrian);
-    let counts = matched(&found.over(&log), &blobs, &found).counts();
+    let counts = matched(&found.over(log.clone()), &blobs, &found).counts();
     assert!(!counts.contains_key(&MaskOutcome::Matched), "{counts:?}");
     assert!(counts[&MaskOutcome::OtherClass] > 15, "{counts:?}");
 }
@@ -134,7 +134,7 @@ fn segmenting_stops_between_two_images() {
 fn compositions_find_the_masks_that_were_tied() {
     let (log, mut blobs, found) = segmented(RoadUser::Vehicle);
     let (truth, truth_blobs) = street(true);
-    let log = found.over(&log);
+    let log = found.over(log.clone());
     let masks = matched(&log, &blobs, &found);
     let mut written = Vec::new();
     let write = |content: &[u8]| {

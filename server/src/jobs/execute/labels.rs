@@ -135,7 +135,10 @@ pub(super) fn masked(
             Some(found.ok_or(Error::Cancelled)?)
         }
     };
-    let log = segmentation.as_ref().map_or(log.clone(), |s| s.over(&log));
+    let log = match &segmentation {
+        Some(segmentation) => segmentation.over(log),
+        None => log,
+    };
     let source = ClassedMasks {
         blobs: &blobs,
         segmentation: segmentation.as_ref(),

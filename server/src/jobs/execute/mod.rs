@@ -46,14 +46,17 @@ fn run(job: &LeasedJob, port: &dyn WorkerPort, control: &JobControl, masking: &M
         control::report(control, 0.0, "decode", 0, 0, "reading the log");
         let manifest = port.read_blob(&job.manifest.digest)?;
         let log = DriveLog::from_manifest(&manifest)?;
-        if job.spec.kind == JobKind::Decompose {
-            return decompose::run(job, &log, port, control, masking);
-        }
-        let (log, labels) = labels::labels(job, log, port, control, masking)?;
-        if job.spec.kind == JobKind::Background {
-            background::run(job, &log, &labels, port, control)
-        } else {
-            objects::run(job, &log, &labels, port, control)
+        let labels = |log| labels::labels(job, log, port, control, masking);
+        match job.spec.kind {
+            JobKind::Decompose => decompose::run(job, &log, port, control, masking),
+            JobKind::Background => {
+                let (log, labels) = labels(log)?;
+                background::run(job, &log, &labels, port, control)
+            }
+            JobKind::Objects => {
+                let (log, labels) = labels(log)?;
+                objects::run(job, &log, &labels, port, control)
+            }
         }
     };
     work().map_err(|error: Error| error.into_failure())
