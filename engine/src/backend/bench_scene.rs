@@ -42,15 +42,7 @@ pub fn field(width: usize) -> Field {
         }
     }
     let mut occupancy = Occupancy::new(2.0 * VOXEL_M, low, size).expect("a small box");
-    let blocks = occupancy.blocks_per_axis();
-    for number in 0..blocks.element_product() {
-        let at = UVec3::new(
-            number % blocks.x,
-            number / blocks.x % blocks.y,
-            number / (blocks.x * blocks.y),
-        );
-        occupancy.set_block(at, [u64::MAX; 8], SIDE_M / STEPS);
-    }
+    occupancy.fill(SIDE_M / STEPS);
     Field {
         bounds_m: (low, low + size),
         levels: vec![level],

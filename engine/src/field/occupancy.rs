@@ -104,6 +104,19 @@ impl Occupancy {
         }
     }
 
+    /// Marks every cell.
+    pub(crate) fn fill(&mut self, step_m: f32) {
+        let blocks = self.blocks;
+        for z in 0..blocks.z {
+            for y in 0..blocks.y {
+                for x in 0..blocks.x {
+                    let all = [u64::MAX; BLOCK_SIDE as usize];
+                    self.set_block(UVec3::new(x, y, z), all, step_m);
+                }
+            }
+        }
+    }
+
     /// Number of occupied cells.
     pub fn occupied_cells(&self) -> u64 {
         let words = self.masks.iter().flatten();

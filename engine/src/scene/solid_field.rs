@@ -1,6 +1,6 @@
 //! Fields made of analytic densities, for tests.
 
-use glam::{UVec3, Vec3};
+use glam::Vec3;
 
 use crate::field::{
     BRICK_NODES, BRICK_SIDE, ColorMlp, DensityActivation, Field, Lattice, Occupancy, SkyGrid,
@@ -90,13 +90,6 @@ pub(super) fn tint(field: &mut Field, logit: impl Fn(Vec3) -> f32) {
 
 fn full(voxel_m: f32, low: Vec3, high: Vec3, step_m: f32) -> Occupancy {
     let mut occupancy = Occupancy::new(voxel_m, low, high - low).unwrap();
-    let blocks = occupancy.blocks_per_axis();
-    for z in 0..blocks.z {
-        for y in 0..blocks.y {
-            for x in 0..blocks.x {
-                occupancy.set_block(UVec3::new(x, y, z), [u64::MAX; 8], step_m);
-            }
-        }
-    }
+    occupancy.fill(step_m);
     occupancy
 }

@@ -1,6 +1,6 @@
 //! A background as dense as the paper's, on adapters that bind no more than 128 MiB as on others.
 
-use glam::{UVec3, Vec3};
+use glam::Vec3;
 
 use super::adapter::on_adapter;
 use crate::backend::bench_scene::{LOSSES, rays};
@@ -102,15 +102,7 @@ fn field() -> Field {
         features[node] = std::array::from_fn(|f| (0.3 * (f + 1) as f32 * at.x + at.y).fract());
     }
     let mut occupancy = Occupancy::new(2.0 * VOXEL_M, low, size).expect("a box");
-    let blocks = occupancy.blocks_per_axis();
-    for number in 0..blocks.element_product() {
-        let at = UVec3::new(
-            number % blocks.x,
-            number / blocks.x % blocks.y,
-            number / (blocks.x * blocks.y),
-        );
-        occupancy.set_block(at, [u64::MAX; 8], 0.1);
-    }
+    occupancy.fill(0.1);
     let mut draws = Draws::new(3, 0, 0);
     Field {
         bounds_m: (low, low + size),

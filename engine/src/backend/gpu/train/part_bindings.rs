@@ -51,6 +51,28 @@ impl<'a> Part<'a> {
     }
 }
 
+impl<'a> Part<'a> {
+    /// What a kernel sees first that moves nodes against their gradients.
+    fn moved(self, buffers: Buffers<'a>) -> [&'a wgpu::Buffer; 12] {
+        let [a, b, c] = self.features;
+        let [by_a, by_b, by_c] = self.feature_gradients;
+        [
+            &buffers.step.params.raw,
+            self.params,
+            &buffers.step.state.raw,
+            &buffers.lattices.touched_bricks.raw,
+            self.density,
+            a,
+            b,
+            c,
+            self.density_gradients,
+            by_a,
+            by_b,
+            by_c,
+        ]
+    }
+}
+
 impl NodeBindings {
     pub(super) fn new(
         device: &Device,
@@ -140,25 +162,12 @@ fn step_bricks(
     buffers: Buffers<'_>,
     part: Part<'_>,
 ) -> Bound {
-    let [a, b, c] = part.features;
-    let [by_a, by_b, by_c] = part.feature_gradients;
-    let own = [
-        &buffers.step.params.raw,
-        part.params,
-        &buffers.step.state.raw,
-        &buffers.lattices.touched_bricks.raw,
-        part.density,
-        a,
-        b,
-        c,
-        part.density_gradients,
-        by_a,
-        by_b,
-        by_c,
+    let more = [
         part.density_squares,
         part.feature_squares,
         &buffers.lattices.brick_marks.raw,
     ];
+    let own = [&part.moved(buffers)[..], &more].concat();
     kernels.step_bricks.bind(device, &own)
 }
 
@@ -198,21 +207,5 @@ fn variation(
 }
 
 fn smooth(device: &Device, kernels: &TrainKernels, buffers: Buffers<'_>, part: Part<'_>) -> Bound {
-    let [a, b, c] = part.features;
-    let [by_a, by_b, by_c] = part.feature_gradients;
-    let own = [
-        &buffers.step.params.raw,
-        part.params,
-        &buffers.step.state.raw,
-        &buffers.lattices.touched_bricks.raw,
-        part.density,
-        a,
-        b,
-        c,
-        part.density_gradients,
-        by_a,
-        by_b,
-        by_c,
-    ];
-    kernels.smooth.bind(device, &own)
+    kernels.smooth.bind(device, &part.moved(buffers))
 }
