@@ -29,7 +29,7 @@ const MOVED: f64 = 1e-2;
 /// 36 M voxels take 4.2 GB on the device and half of that twice on the host: `cargo test --release -p backlot-engine dense_background --
 /// --ignored --nocapture`.
 #[test]
-#[ignore = "takes 9 GB of memory and minutes in software"]
+#[ignore = "takes 9 GB of memory; .ci/run runs it"]
 fn parity_of_a_step_of_a_dense_background() {
     on_adapter("dense background", |gpu| {
         let field = field();
