@@ -172,4 +172,8 @@ fn place_tracks(
 }
 
 #[cfg(test)]
+mod recorded_tests;
+#[cfg(test)]
 mod tests;
+#[cfg(test)]
+mod tracking_tests;

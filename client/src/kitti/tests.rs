@@ -1,4 +1,4 @@
-//! Small drives written in the exact formats, and the real ones where the environment names them.
+//! Small drives written in the exact format of the raw data.
 
 use std::fs;
 
@@ -10,17 +10,17 @@ use super::*;
 use crate::geometry::{box_corners, rigid_from_wire, vector_from_wire};
 
 /// Calibration with a rotated rectification, and a camera 2 that is off camera 0 along all axes.
-const CAM_TO_CAM: &str = "calib_time: 09-Jan-2012 13:57:47
+pub(super) const CAM_TO_CAM: &str = "calib_time: 09-Jan-2012 13:57:47
 S_rect_02: 6.400000e+01 3.200000e+01
 R_rect_00: 9.999239e-01 9.837760e-03 -7.445048e-03 -9.869795e-03 9.999421e-01 -4.278459e-03 7.402527e-03 4.351614e-03 9.999631e-01
 P_rect_02: 5.000000e+01 0.000000e+00 3.200000e+01 4.485728e+00 0.000000e+00 5.000000e+01 1.600000e+01 2.163791e-01 0.000000e+00 0.000000e+00 1.000000e+00 2.745884e-03
 ";
-const VELO_TO_CAM: &str = "calib_time: 15-Mar-2012 11:37:16
+pub(super) const VELO_TO_CAM: &str = "calib_time: 15-Mar-2012 11:37:16
 R: 7.533745e-03 -9.999714e-01 -6.166020e-04 1.480249e-02 7.280733e-04 -9.998902e-01 9.998621e-01 7.523790e-03 1.480755e-02
 T: -4.069766e-03 -7.631618e-02 -2.717806e-01
 delta_f: 0.000000e+00 0.000000e+00
 ";
-const IMU_TO_VELO: &str = "R: 9.999976e-01 7.553071e-04 -2.035826e-03 -7.854027e-04 9.998898e-01 -1.482298e-02 2.024406e-03 1.482454e-02 9.998881e-01
+pub(super) const IMU_TO_VELO: &str = "R: 9.999976e-01 7.553071e-04 -2.035826e-03 -7.854027e-04 9.998898e-01 -1.482298e-02 2.024406e-03 1.482454e-02 9.998881e-01
 T: -8.086759e-01 3.195559e-01 -7.997231e-01
 ";
 const POSES: &str = "1 0 0 0 0 1 0 0 0 0 1 0
@@ -28,7 +28,7 @@ const POSES: &str = "1 0 0 0 0 1 0 0 0 0 1 0
 1 0 0 0 0 1 0 0 0 0 1 1.0
 1 0 0 0 0 1 0 0 0 0 1 1.5
 ";
-const LABELS: &str = "0 -1 DontCare -1 -1 -10 1 2 3 4 -1000 -1000 -1000 -10 -1 -1 -1
+pub(super) const LABELS: &str = "0 -1 DontCare -1 -1 -10 1 2 3 4 -1000 -1000 -1000 -10 -1 -1 -1
 1 7 Car 0 1 -1.57 20.0 10.0 40.0 20.0 1.50 1.60 4.00 1.00 1.65 12.00 -1.570796
 2 7 Car 2 0 -1.57 20.0 10.0 40.0 20.0 1.50 1.60 4.00 1.00 1.65 12.00 -1.570796
 9 7 Car 0 0 -1.57 20.0 10.0 40.0 20.0 1.50 1.60 4.00 1.00 1.65 12.00 -1.570796
@@ -62,12 +62,12 @@ const TRACKLETS: &str = r#"<?xml version="1.0" encoding="UTF-8" standalone="yes"
 "#;
 
 /// Frames 1 and 2 of a drive whose poses and labels cover more.
-struct Drive {
+pub(super) struct Drive {
     folder: TempDir,
 }
 
 impl Drive {
-    fn new() -> Self {
+    pub(super) fn new() -> Self {
         let drive = Self {
             folder: TempDir::new().unwrap(),
         };
@@ -98,17 +98,17 @@ impl Drive {
         drive
     }
 
-    fn path(&self, name: &str) -> PathBuf {
+    pub(super) fn path(&self, name: &str) -> PathBuf {
         self.folder.path().join(name)
     }
 
-    fn write(&self, name: &str, content: &[u8]) {
+    pub(super) fn write(&self, name: &str, content: &[u8]) {
         let path = self.path(name);
         fs::create_dir_all(path.parent().unwrap()).unwrap();
         fs::write(path, content).unwrap();
     }
 
-    fn inputs(&self) -> KittiInputs {
+    pub(super) fn inputs(&self) -> KittiInputs {
         KittiInputs {
             drive_dir: self.path("day/drive"),
             calib_dir: None,
@@ -117,12 +117,12 @@ impl Drive {
         }
     }
 
-    fn error(&self) -> String {
+    pub(super) fn error(&self) -> String {
         read_kitti_raw(&self.inputs()).unwrap_err().to_string()
     }
 }
 
-fn wire_camera_model(camera: &v1::Camera) -> Camera {
+pub(super) fn wire_camera_model(camera: &v1::Camera) -> Camera {
     Camera {
         width: camera.width,
         height: camera.height,
@@ -315,267 +315,4 @@ fn a_truncated_image_is_named() {
         error.contains("0000000002.png") && error.contains("does not decode"),
         "{error}"
     );
-}
-
-/// Sequence 0003 of a tracking split: the same drive in the benchmark's files.
-fn tracking_split(drive: &Drive) -> KittiTrackingInputs {
-    let row = |rotation: &str, t: [&str; 3]| {
-        let r: Vec<&str> = rotation.split(' ').collect();
-        let rows =
-            (0..3).map(|i| format!("{} {} {} {}", r[3 * i], r[3 * i + 1], r[3 * i + 2], t[i]));
-        rows.collect::<Vec<_>>().join(" ")
-    };
-    let value = |file: &'static str, key: &str| {
-        let line = file.lines().find_map(|line| line.strip_prefix(key));
-        line.unwrap().trim_start_matches(':').trim()
-    };
-    let velodyne = row(
-        value(VELO_TO_CAM, "R"),
-        value(VELO_TO_CAM, "T")
-            .split(' ')
-            .collect::<Vec<_>>()
-            .try_into()
-            .unwrap(),
-    );
-    let imu = row(
-        value(IMU_TO_VELO, "R"),
-        value(IMU_TO_VELO, "T")
-            .split(' ')
-            .collect::<Vec<_>>()
-            .try_into()
-            .unwrap(),
-    );
-    let calibration = format!(
-        "P2: {}\nR_rect {}\nTr_velo_cam {velodyne}\nTr_imu_velo {imu}\n",
-        value(CAM_TO_CAM, "P_rect_02"),
-        value(CAM_TO_CAM, "R_rect_00"),
-    );
-    drive.write("split/calib/0003.txt", calibration.as_bytes());
-    drive.write("split/label_02/0003.txt", LABELS.as_bytes());
-    let packets: String = (0_i32..4)
-        .map(|i| {
-            format!(
-                "{} 8.44 115.0 0.01 0.02 1.5 0 0 0\n",
-                49.0 + 0.00001 * f64::from(i.max(1))
-            )
-        })
-        .collect();
-    drive.write("split/oxts/0003.txt", packets.as_bytes());
-    for frame in [1, 2] {
-        for (from, to) in [
-            ("image_02/data", "image_02/0003"),
-            ("velodyne_points/data", "velodyne/0003"),
-        ] {
-            let extension = if from.starts_with("image") {
-                "png"
-            } else {
-                "bin"
-            };
-            let content =
-                fs::read(drive.path(&format!("day/drive/{from}/000000000{frame}.{extension}")));
-            drive.write(
-                &format!("split/{to}/00000{frame}.{extension}"),
-                &content.unwrap(),
-            );
-        }
-    }
-    KittiTrackingInputs {
-        root: drive.path("split"),
-        sequence: None,
-    }
-}
-
-/// The same calibration, boxes and sweeps in either form are the same log but for the source of the ego poses.
-#[test]
-fn a_tracking_sequence_is_the_drive_it_was_cut_from() {
-    let drive = Drive::new();
-    let inputs = tracking_split(&drive);
-    for frame in [0_i32, 1, 2] {
-        let packet = format!(
-            "{} 8.44 115.0 0.01 0.02 1.5 0 0 0\n",
-            49.0 + 0.00001 * f64::from(frame.max(1))
-        );
-        drive.write(
-            &format!("day/drive/oxts/data/000000000{frame}.txt"),
-            packet.as_bytes(),
-        );
-    }
-    let raw = KittiInputs {
-        poses: None,
-        ..drive.inputs()
-    };
-    let raw = read_kitti_raw(&raw).unwrap().drive_log;
-    let tracking = read_kitti_tracking(&inputs).unwrap().drive_log;
-    assert_eq!(tracking.dataset, "kitti-tracking");
-    assert_eq!(tracking.cameras, raw.cameras);
-    assert_eq!(tracking.frames, raw.frames);
-    assert_eq!(tracking.sweeps, raw.sweeps);
-    assert_eq!(tracking.world_from_ego, raw.world_from_ego);
-    assert_eq!(tracking.tracks, raw.tracks);
-    assert!(is_kitti_tracking(&inputs.root) && !is_kitti_tracking(&drive.path("day/drive")));
-    assert!(is_kitti_raw(&drive.path("day/drive")) && !is_kitti_raw(&inputs.root));
-    let calibration = fs::read_to_string(drive.path("split/calib/0003.txt")).unwrap();
-    let moved = calibration.replace("4.485728e+00", "9.485728e+00");
-    drive.write("split/calib/0003.txt", moved.as_bytes());
-    let moved = read_kitti_tracking(&inputs).unwrap().drive_log;
-    assert_ne!(moved.cameras, raw.cameras);
-}
-
-#[test]
-fn errors_of_a_tracking_split_name_file_and_reason() {
-    type Break = fn(&Drive);
-    let cases: [(Break, &[&str]); 6] = [
-        (
-            |d| fs::remove_file(d.path("split/calib/0003.txt")).unwrap(),
-            &["calib/0003.txt", "not found"],
-        ),
-        (
-            |d| fs::remove_file(d.path("split/oxts/0003.txt")).unwrap(),
-            &["oxts/0003.txt", "not found"],
-        ),
-        (
-            |d| d.write("split/oxts/0003.txt", b"49.0 8.44\n"),
-            &["oxts/0003.txt:1", "alt is missing"],
-        ),
-        (
-            |d| d.write("split/calib/0003.txt", b"P2: 1 2 3\n"),
-            &["calib/0003.txt:1", "3 numbers"],
-        ),
-        (
-            |d| d.write("split/velodyne/0003/000002.bin", b"12345"),
-            &["000002.bin", "truncated"],
-        ),
-        (
-            |d| fs::create_dir(d.path("split/image_02/0007")).unwrap(),
-            &["0003, 0007", "--scene"],
-        ),
-    ];
-    for (break_it, expected) in cases {
-        let drive = Drive::new();
-        let inputs = tracking_split(&drive);
-        assert!(read_kitti_tracking(&inputs).is_ok());
-        break_it(&drive);
-        let error = read_kitti_tracking(&inputs).unwrap_err().to_string();
-        for text in expected {
-            assert!(error.contains(text), "{error:?} does not say {text:?}");
-        }
-    }
-}
-
-/// The folder of recorded drives, or `None` with a visible line if the environment names none.
-fn recorded_drives(test: &str) -> Option<PathBuf> {
-    let folder = std::env::var_os("BACKLOT_DATA").map(PathBuf::from);
-    if folder.is_none() {
-        let line = format!(
-            "LEFT OUT: {test}: BACKLOT_DATA names no folder with kitti_0052 and kitti_0009_clip\n"
-        );
-        // Past the harness, which captures what passing tests print; a closed stderr must not fail the test.
-        let _ = std::io::Write::write_all(&mut std::io::stderr(), line.as_bytes());
-    }
-    folder
-}
-
-/// Projects every box of a log and compares with the 2D boxes of its label file (where both lie inside the image).
-fn median_box_error_px(log: &v1::DriveLog, labels: &Path) -> f64 {
-    let camera = wire_camera_model(&log.cameras[0]);
-    let ego_from_camera = rigid_from_wire(log.cameras[0].ego_from_camera.as_ref());
-    let mut errors = Vec::new();
-    for line in fs::read_to_string(labels).unwrap().lines() {
-        let words: Vec<&str> = line.split_whitespace().collect();
-        let frame = log
-            .frames
-            .iter()
-            .find(|f| f.frame_index.to_string() == words[0]);
-        let track = log.tracks.iter().find(|t| t.track_id == words[1]);
-        let (Some(frame), Some(track)) = (frame, track) else {
-            continue;
-        };
-        let ego = log
-            .world_from_ego
-            .iter()
-            .find(|p| p.timestamp_ns == frame.timestamp_ns);
-        let state = track
-            .states
-            .iter()
-            .find(|s| s.timestamp_ns == frame.timestamp_ns);
-        let (ego, state) = (ego.unwrap(), state.unwrap());
-        let world_from_camera = rigid_from_wire(ego.pose.as_ref()) * ego_from_camera;
-        let camera_from_cuboid =
-            world_from_camera.inverse() * rigid_from_wire(state.world_from_cuboid.as_ref());
-        let corners = box_corners(vector_from_wire(track.size_m.as_ref()));
-        let pixels: Option<Vec<DVec2>> = corners
-            .iter()
-            .map(|corner| camera.project(camera_from_cuboid.point(*corner)))
-            .collect();
-        let label: Vec<f64> = words[6..10].iter().map(|w| w.parse().unwrap()).collect();
-        let inside = label[0] > 1.0 && label[2] < 1240.0 && label[3] < 373.0 && label[1] > 1.0;
-        let (Some(pixels), true) = (pixels, inside) else {
-            continue;
-        };
-        let low = pixels.iter().copied().reduce(DVec2::min).unwrap() - 0.5;
-        let high = pixels.iter().copied().reduce(DVec2::max).unwrap() - 0.5;
-        let box2d = [low.x, low.y, high.x, high.y];
-        errors.extend(box2d.iter().zip(&label).map(|(a, b)| (a - b).abs()));
-    }
-    assert!(errors.len() > 50, "{} box sides compared", errors.len());
-    errors.sort_by(f64::total_cmp);
-    errors[errors.len() / 2]
-}
-
-#[test]
-fn recorded_drive_0052() {
-    let Some(data) = recorded_drives("recorded_drive_0052") else {
-        return;
-    };
-    let root = data.join("kitti_0052");
-    let labels = root.join("derived/label_02.txt");
-    let inputs = KittiInputs {
-        drive_dir: root.join("2011_09_26/2011_09_26_drive_0052_sync"),
-        calib_dir: None,
-        poses: Some(root.join("derived/poses_cam0.txt")),
-        tracks: Some(labels.clone()),
-    };
-    let read = read_kitti_raw(&inputs).unwrap();
-    let log = &read.drive_log;
-    assert_eq!(
-        (log.frames.len(), log.sweeps.len(), log.tracks.len()),
-        (54, 54, 8)
-    );
-    assert_eq!(read.blobs.len(), 108);
-    let error = median_box_error_px(log, &labels);
-    println!("median side error of projected boxes: {error:.3} px");
-    assert!(error < 0.1, "{error}");
-}
-
-#[test]
-fn recorded_drive_0009() {
-    let Some(data) = recorded_drives("recorded_drive_0009") else {
-        return;
-    };
-    let root = data.join("kitti_0009_clip");
-    let labels = root.join("tracking/label_02/0001.txt");
-    let inputs = KittiInputs {
-        drive_dir: root.join("2011_09_26/2011_09_26_drive_0009_sync"),
-        calib_dir: None,
-        poses: None,
-        tracks: Some(labels.clone()),
-    };
-    let log = read_kitti_raw(&inputs).unwrap().drive_log;
-    assert_eq!((log.frames.len(), log.sweeps.len()), (5, 5));
-    // 9.4 m/s at 10 Hz.
-    let first = rigid_from_wire(log.world_from_ego[0].pose.as_ref());
-    let last = rigid_from_wire(log.world_from_ego[4].pose.as_ref());
-    let travel = (last.translation_m - first.translation_m).length();
-    assert!((3.5..4.2).contains(&travel), "{travel}");
-    // The ego moves along its own x axis.
-    let ahead = first.rotation * DVec3::X;
-    assert!(
-        (last.translation_m - first.translation_m)
-            .normalize()
-            .dot(ahead)
-            > 0.99
-    );
-    let error = median_box_error_px(&log, &labels);
-    println!("median side error of projected boxes: {error:.3} px");
-    assert!(error < 1.5, "{error}");
 }
