@@ -4,8 +4,9 @@
 
 mod clock;
 mod measure;
+mod seen;
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 
 use anyhow::{Context, Result, bail, ensure};
@@ -20,7 +21,7 @@ use backlot_server::ingest::{LogLabels, background_set};
 use clap::{Parser, ValueEnum};
 
 use clock::{Clock, Source};
-use measure::{Moment, Report, peak_rss_mib, psnr_held_out, stored, write_views};
+use measure::{HeldOut, Moment, Report, peak_rss_mib, stored};
 
 #[derive(Parser)]
 struct Arguments {
@@ -57,6 +58,12 @@ struct Arguments {
     /// Where to write the figures.
     #[arg(long)]
     json: Option<PathBuf>,
+    /// Measures the asset stored in this file instead of training one.
+    #[arg(long, conflicts_with = "train_s")]
+    from: Option<PathBuf>,
+    /// Where to write the asset.
+    #[arg(long)]
+    asset: Option<PathBuf>,
     /// Folder for the held-out frames beside what the field shows.
     #[arg(long)]
     out: Option<PathBuf>,
@@ -76,7 +83,11 @@ fn main() -> Result<()> {
     rayon::ThreadPoolBuilder::new()
         .num_threads(arguments.threads)
         .build_global()?;
-    let input = street(&arguments)?;
+    let (world, input) = street(&arguments)?;
+    let held_out = HeldOut::new(&world, &input.views)?;
+    if let Some(path) = &arguments.from {
+        return measure_stored(path, &held_out, arguments.out.as_deref());
+    }
     let preset = preset(&arguments)?;
     let pixels: usize = input.views.iter().map(|v| v.camera.pixel_count()).sum();
     eprintln!(
@@ -85,7 +96,7 @@ fn main() -> Result<()> {
         input.lidar_points.len(),
         input.beams.len()
     );
-    let watch = Watch::new(&arguments, &input);
+    let watch = Watch::new(&arguments, &held_out);
     let trained = train_background(&input, &preset, arguments.seed, &CpuBackend, &watch)?;
     let train_s = trained.quality.train_seconds;
     let rss_mib = peak_rss_mib();
@@ -95,6 +106,7 @@ fn main() -> Result<()> {
         steps: state.steps,
         rays: trained.quality.train_rays,
         psnr_held_out: trained.quality.psnr_held_out,
+        psnr_seen: None,
         ssim_held_out: trained.quality.ssim_held_out,
         depth_mae_m: trained.quality.depth_mae_m,
         psnr_train: trained.quality.psnr_train,
@@ -107,13 +119,19 @@ fn main() -> Result<()> {
         psnr_stored: None,
     };
     if let Some(folder) = &arguments.out {
-        write_views(&trained.field, &input.views, folder)?;
+        held_out.write(&trained.field, folder)?;
     }
+    let psnr_seen = held_out.psnr(&trained.field).seen;
     let payload = stored(trained);
+    if let Some(path) = &arguments.asset {
+        std::fs::write(path, &payload)
+            .with_context(|| format!("{}: cannot be written", path.display()))?;
+    }
     let read_back = Asset::decode(&payload)?;
     let report = Report {
+        psnr_seen: Some(psnr_seen),
         asset_mb: Some(payload.len() as f64 / 1e6),
-        psnr_stored: Some(psnr_held_out(&read_back.field, &input.views)),
+        psnr_stored: Some(held_out.psnr(&read_back.field).all),
         ..report
     };
     let text = serde_json::to_string_pretty(&report)?;
@@ -126,7 +144,7 @@ fn main() -> Result<()> {
 }
 
 /// The street's log, decomposed as a job would, at full resolution.
-fn street(arguments: &Arguments) -> Result<BackgroundInput> {
+fn street(arguments: &Arguments) -> Result<(StreetWorld, BackgroundInput)> {
     let config = StreetConfig {
         seed: arguments.seed,
         frames: arguments.frames,
@@ -140,7 +158,8 @@ fn street(arguments: &Arguments) -> Result<BackgroundInput> {
         parked_cars: StreetConfig::parked_along(arguments.travel_m),
         ..StreetConfig::default()
     };
-    let mut log = StreetWorld::new(&config)?.read_log()?;
+    let world = StreetWorld::new(&config)?;
+    let mut log = world.read_log()?;
     log.drive_log.name = "driveLogs/street".to_owned();
     let drive_log = match drive_log_from_wire(log.drive_log.clone()) {
         Ok(drive_log) => drive_log,
@@ -149,7 +168,22 @@ fn street(arguments: &Arguments) -> Result<BackgroundInput> {
     let every = arguments.hold_out_every;
     let labels = LogLabels::default();
     let set = background_set(&drive_log, &log, &labels, every, u32::MAX, |_, _| true)?;
-    Ok(set.expect("nothing stops it").input)
+    Ok((world, set.expect("nothing stops it").input))
+}
+
+fn measure_stored(path: &Path, held_out: &HeldOut, out: Option<&Path>) -> Result<()> {
+    let payload =
+        std::fs::read(path).with_context(|| format!("{}: cannot be read", path.display()))?;
+    let asset = Asset::decode(&payload)?;
+    let psnr = held_out.psnr(&asset.field);
+    println!(
+        "held out {:.2} dB, of what was seen {:.2} dB",
+        psnr.all, psnr.seen
+    );
+    match out {
+        Some(folder) => held_out.write(&asset.field, folder),
+        None => Ok(()),
+    }
 }
 
 fn preset(arguments: &Arguments) -> Result<TrainPreset> {
@@ -169,7 +203,7 @@ fn preset(arguments: &Arguments) -> Result<TrainPreset> {
 
 /// Looks at the held-out frames at the asked moments, on a clock that stands still meanwhile.
 struct Watch<'a> {
-    input: &'a BackgroundInput,
+    held_out: &'a HeldOut<'a>,
     clock: Clock,
     looks_s: &'a [f64],
     state: Mutex<State>,
@@ -184,9 +218,9 @@ struct State {
 }
 
 impl<'a> Watch<'a> {
-    fn new(arguments: &'a Arguments, input: &'a BackgroundInput) -> Self {
+    fn new(arguments: &'a Arguments, held_out: &'a HeldOut<'a>) -> Self {
         Self {
-            input,
+            held_out,
             clock: Clock::start(arguments.clock, arguments.threads),
             looks_s: &arguments.looks_s,
             state: Mutex::default(),
@@ -218,12 +252,16 @@ impl TrainControl for Watch<'_> {
         let mut state = self.state.lock().expect("no thread panicked");
         state.looked = self.looks_s.iter().filter(|at| train_s >= **at).count();
         let before_s = self.clock.seconds();
-        let psnr_held_out = psnr_held_out(field, &self.input.views);
+        let psnr = self.held_out.psnr(field);
         let peak_rss_mib = peak_rss_mib();
-        eprintln!("{train_s:7.1} s  held out {psnr_held_out:5.2} dB  {peak_rss_mib:.0} MiB");
+        eprintln!(
+            "{train_s:7.1} s  held out {:5.2} dB, seen {:5.2} dB  {peak_rss_mib:.0} MiB",
+            psnr.all, psnr.seen
+        );
         state.moments.push(Moment {
             train_s,
-            psnr_held_out,
+            psnr_held_out: psnr.all,
+            psnr_seen: psnr.seen,
         });
         state.away_s += self.clock.seconds() - before_s;
     }

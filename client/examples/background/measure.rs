@@ -1,9 +1,11 @@
 //! Figures on held-out frames and of the process.
 
+use std::collections::HashMap;
 use std::path::Path;
 use std::sync::Arc;
 
 use anyhow::{Context, Result};
+use backlot_client::generator::StreetWorld;
 use backlot_engine::asset::{AssetHeader, AssetKind, ColorSpace, FORMAT_VERSION, Usage};
 use backlot_engine::camera::Rigid;
 use backlot_engine::class::ObjectClass;
@@ -15,6 +17,8 @@ use backlot_engine::{Asset, Field};
 use glam::DVec3;
 use serde::Serialize;
 
+use crate::seen::seen_pixels;
+
 /// What `--json` writes. Looking is not counted as training.
 #[derive(Serialize)]
 pub(crate) struct Report {
@@ -23,6 +27,8 @@ pub(crate) struct Report {
     pub(crate) rays: u64,
     /// Over the pixels of the held-out frames that are not sky or movers.
     pub(crate) psnr_held_out: Option<f64>,
+    /// Of those, over the ones whose surface some training frame shows.
+    pub(crate) psnr_seen: Option<f64>,
     pub(crate) ssim_held_out: Option<f64>,
     pub(crate) depth_mae_m: Option<f64>,
     pub(crate) psnr_train: Option<f64>,
@@ -40,26 +46,91 @@ pub(crate) struct Report {
 pub(crate) struct Moment {
     pub(crate) train_s: f64,
     pub(crate) psnr_held_out: f64,
+    pub(crate) psnr_seen: f64,
 }
 
-/// As the quality report of a background: over all foreground pixels of the held-out views, in 8 bits.
-pub(crate) fn psnr_held_out(field: &Field, views: &[TrainView]) -> f64 {
-    let (mut squares, mut pixels) = (0.0, 0_u64);
-    for view in views.iter().filter(|view| view.split == Split::HeldOut) {
-        for (shown, (actual, label)) in render(field, view)
-            .iter()
-            .zip(view.rgb.chunks_exact(3).zip(&view.labels))
-        {
-            if *label == PixelLabel::Foreground {
-                pixels += 3;
-                let pairs = shown.iter().zip(actual);
-                squares += pairs
-                    .map(|(a, b)| (f64::from(*a) - f64::from(*b)).powi(2) / 65_025.0)
-                    .sum::<f64>();
+/// The held-out frames, and which of their pixels show what training frames show.
+pub(crate) struct HeldOut<'a> {
+    pub(crate) views: &'a [TrainView],
+    seen: HashMap<u32, Vec<bool>>,
+}
+
+/// As the quality report of a background: over foreground pixels, in 8 bits.
+#[derive(Clone, Copy)]
+pub(crate) struct Psnr {
+    pub(crate) all: f64,
+    /// Of surfaces that some training frame shows.
+    pub(crate) seen: f64,
+}
+
+impl<'a> HeldOut<'a> {
+    pub(crate) fn new(world: &StreetWorld, views: &'a [TrainView]) -> Result<Self> {
+        let seen = seen_pixels(world, views)?;
+        let held_out = Self { views, seen };
+        let (mut static_pixels, mut of_them_seen) = (0, 0);
+        for view in held_out.frames() {
+            for (label, seen) in view.labels.iter().zip(&held_out.seen[&view.frame_index]) {
+                static_pixels += usize::from(*label == PixelLabel::Foreground);
+                of_them_seen += usize::from(*label == PixelLabel::Foreground && *seen);
             }
         }
+        eprintln!(
+            "{of_them_seen} of {static_pixels} held-out pixels show what training frames show"
+        );
+        Ok(held_out)
     }
-    psnr_db(squares / pixels as f64)
+
+    pub(crate) fn psnr(&self, field: &Field) -> Psnr {
+        let (mut all, mut of_seen) = ((0.0, 0_u64), (0.0, 0_u64));
+        for view in self.frames() {
+            let pixels = view.rgb.chunks_exact(3).zip(&view.labels);
+            let pixels = pixels.zip(&self.seen[&view.frame_index]);
+            for (shown, ((actual, label), seen)) in render(field, view).iter().zip(pixels) {
+                if *label != PixelLabel::Foreground {
+                    continue;
+                }
+                let pairs = shown.iter().zip(actual);
+                let squares =
+                    pairs.map(|(a, b)| (f64::from(*a) - f64::from(*b)).powi(2) / 65_025.0);
+                let squares: f64 = squares.sum();
+                all = (all.0 + squares, all.1 + 3);
+                if *seen {
+                    of_seen = (of_seen.0 + squares, of_seen.1 + 3);
+                }
+            }
+        }
+        let psnr = |(squares, count): (f64, u64)| psnr_db(squares / count as f64);
+        Psnr {
+            all: psnr(all),
+            seen: psnr(of_seen),
+        }
+    }
+
+    /// Writes each held-out frame, recorded above rendered.
+    pub(crate) fn write(&self, field: &Field, folder: &Path) -> Result<()> {
+        std::fs::create_dir_all(folder)
+            .with_context(|| format!("{}: cannot be created", folder.display()))?;
+        for view in self.frames() {
+            let rendered = render(field, view);
+            let both: Vec<u8> = view
+                .rgb
+                .iter()
+                .copied()
+                .chain(rendered.into_iter().flatten())
+                .collect();
+            let path = folder.join(format!("frame_{:03}.png", view.frame_index));
+            let (width, height) = (view.camera.width, 2 * view.camera.height);
+            image::save_buffer(&path, &both, width, height, image::ExtendedColorType::Rgb8)
+                .with_context(|| format!("{}: cannot be written", path.display()))?;
+        }
+        Ok(())
+    }
+
+    fn frames(&self) -> impl Iterator<Item = &TrainView> {
+        self.views
+            .iter()
+            .filter(|view| view.split == Split::HeldOut)
+    }
 }
 
 fn render(field: &Field, view: &TrainView) -> Vec<[u8; 3]> {
@@ -68,25 +139,6 @@ fn render(field: &Field, view: &TrainView) -> Vec<[u8; 3]> {
     let byte = |c: f32| (c.clamp(0.0, 1.0) * 255.0).round() as u8;
     let rendered = render_rays(field, &rays);
     rendered.iter().map(|ray| ray.color.map(byte)).collect()
-}
-
-/// Writes each held-out frame, recorded above rendered.
-pub(crate) fn write_views(field: &Field, views: &[TrainView], folder: &Path) -> Result<()> {
-    std::fs::create_dir_all(folder)
-        .with_context(|| format!("{}: cannot be created", folder.display()))?;
-    for view in views.iter().filter(|view| view.split == Split::HeldOut) {
-        let both: Vec<u8> = view
-            .rgb
-            .iter()
-            .copied()
-            .chain(render(field, view).into_iter().flatten())
-            .collect();
-        let path = folder.join(format!("frame_{:03}.png", view.frame_index));
-        let (width, height) = (view.camera.width, 2 * view.camera.height);
-        image::save_buffer(&path, &both, width, height, image::ExtendedColorType::Rgb8)
-            .with_context(|| format!("{}: cannot be written", path.display()))?;
-    }
-    Ok(())
 }
 
 /// The asset as it is stored; recording and valid region, a few kilobytes, are not in it.

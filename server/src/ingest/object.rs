@@ -28,7 +28,7 @@ const MOST_VIEWS: usize = 60;
 
 /// What one object is trained from.
 #[derive(Clone, Debug)]
-pub(crate) struct ObjectSet {
+pub struct ObjectSet {
     pub input: ObjectInput,
     /// Frames that passed every check, before standing ones are thinned.
     pub usable_frames: u32,
@@ -42,7 +42,7 @@ pub(crate) struct ObjectSet {
 ///
 /// # Errors
 /// [`FrameError`] of the first frame that cannot be loaded. `Ok(None)` if `progress` said stop.
-pub(crate) fn object_set<B: LogBlobs>(
+pub fn object_set<B: LogBlobs>(
     log: &DriveLog,
     blobs: &B,
     labels: &LogLabels,

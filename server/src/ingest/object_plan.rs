@@ -24,7 +24,7 @@ const MOST_TRUNCATED: f32 = 0.05;
 /// Why a frame of a track is not used.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub(crate) enum Rejection {
+pub enum Rejection {
     OutsideImage,
     Truncated,
     TooSmall,
@@ -38,7 +38,7 @@ pub(crate) enum Rejection {
 
 impl Rejection {
     /// Name in reports.
-    pub(crate) fn name(self) -> &'static str {
+    pub fn name(self) -> &'static str {
         match self {
             Self::OutsideImage => "outside_image",
             Self::Truncated => "truncated",
@@ -53,11 +53,11 @@ impl Rejection {
 }
 
 /// How often each reason was found.
-pub(crate) type Rejections = BTreeMap<Rejection, u32>;
+pub type Rejections = BTreeMap<Rejection, u32>;
 
 /// The frames of one track that show the whole object.
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) struct TrackPlan {
+pub struct TrackPlan {
     /// Index into the log's tracks.
     pub track: usize,
     pub moving: bool,
@@ -69,7 +69,7 @@ pub(crate) struct TrackPlan {
 }
 
 /// One plan for every track, those with most pixels first. Labelled things without a class of their own never become assets.
-pub(crate) fn plan_objects(log: &DriveLog) -> Vec<TrackPlan> {
+pub fn plan_objects(log: &DriveLog) -> Vec<TrackPlan> {
     let mut plans: Vec<TrackPlan> = moving_tracks(log)
         .into_iter()
         .enumerate()
