@@ -34,6 +34,8 @@ pub struct Kernel {
     pub workgroup_size: u32,
     /// Overrides whose values differ from pipeline to pipeline.
     pub parameters: &'static [&'static str],
+    /// Whether threads take what others of their subgroup have read: it then must have [`crate::SUBGROUP`] threads at least.
+    pub uses_subgroup: bool,
 }
 
 impl Kernel {
@@ -58,6 +60,7 @@ macro_rules! kernel_of {
             bindings: &[],
             workgroup_size: 1,
             parameters: &[],
+            uses_subgroup: false,
         }
     };
 }

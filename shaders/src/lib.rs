@@ -44,6 +44,13 @@ pub const BLOCK_EDGE: usize = 4;
 /// Blocks of the colour network's inputs.
 pub const INPUT_BLOCKS: usize = 10;
 
+/// Threads that read together in some kernels: no subgroup may have fewer.
+pub const SUBGROUP: u32 = 8;
+
+/// Slots that a workgroup of the four-sample kernels takes at once, past the last slot too.
+pub const SLOTS_AT_ONCE: u32 = 4 * FOUR_SAMPLE_THREADS;
+pub(crate) const FOUR_SAMPLE_THREADS: u32 = 32;
+
 /// Greatest hidden width, in blocks.
 pub const MAX_WIDTH_BLOCKS: usize = 32;
 

@@ -97,10 +97,11 @@ pub const NETWORK_FORWARD: Kernel = Kernel {
     )
 };
 
-/// [`NETWORK_FORWARD`] with four samples a thread.
+/// [`NETWORK_FORWARD`] with four samples a thread, and weights that the threads of a subgroup read together.
 pub const NETWORK_FORWARD_FOUR: Kernel = Kernel {
     bindings: FORWARD_BINDINGS,
-    workgroup_size: 32,
+    workgroup_size: crate::FOUR_SAMPLE_THREADS,
+    uses_subgroup: true,
     parameters: &["WIDTH_BLOCKS", "KEEPS_HIDDEN"],
     ..kernel_of!(
         "network_forward_four",
@@ -174,10 +175,11 @@ pub const NETWORK_BACKWARD: Kernel = Kernel {
     )
 };
 
-/// [`NETWORK_BACKWARD`] with four samples a thread.
+/// [`NETWORK_BACKWARD`] in the manner of [`NETWORK_FORWARD_FOUR`].
 pub const NETWORK_BACKWARD_FOUR: Kernel = Kernel {
     bindings: BACKWARD_BINDINGS,
-    workgroup_size: 32,
+    workgroup_size: crate::FOUR_SAMPLE_THREADS,
+    uses_subgroup: true,
     parameters: &["WIDTH_BLOCKS"],
     ..kernel_of!(
         "network_backward_four",
@@ -214,6 +216,21 @@ pub const LAYER_GRADIENTS: Kernel = Kernel {
     ],
     workgroup_size: 8,
     ..kernel_of!("layer_gradients", "types", "training", "layer_gradients")
+};
+
+/// [`LAYER_GRADIENTS`] whose threads read together; one workgroup eight quads of the side that is not divided among the threads, and a
+/// share of the samples.
+pub const LAYER_GRADIENTS_SHARED: Kernel = Kernel {
+    bindings: LAYER_GRADIENTS.bindings,
+    workgroup_size: crate::SUBGROUP,
+    uses_subgroup: true,
+    parameters: &["TAKES_INPUTS"],
+    ..kernel_of!(
+        "layer_gradients_shared",
+        "types",
+        "training",
+        "layer_gradients_shared"
+    )
 };
 
 /// Adds the gradients of points to the nodes around them that one part holds; any number of threads.

@@ -11,7 +11,13 @@ fn every_kernel_is_valid_and_as_the_table_says() {
     let mut checked_bindings = 0;
     for kernel in kernels::ALL {
         let module = parse(kernel);
-        Validator::new(ValidationFlags::all(), Capabilities::empty())
+        // What uses subgroups says so.
+        let capabilities = if kernel.uses_subgroup {
+            Capabilities::SUBGROUP
+        } else {
+            Capabilities::empty()
+        };
+        Validator::new(ValidationFlags::all(), capabilities)
             .validate(&module)
             .unwrap_or_else(|error| panic!("{}: {error:?}", kernel.name));
         let entries: Vec<_> = module

@@ -17,12 +17,16 @@ override WORKGROUP_SIZE: u32;
 
 @compute @workgroup_size(WORKGROUP_SIZE)
 fn network_backward_four(
-    @builtin(global_invocation_id) id: vec3<u32>,
+    @builtin(workgroup_id) group: vec3<u32>,
     @builtin(num_workgroups) groups: vec3<u32>,
+    @builtin(local_invocation_index) thread: u32,
+    @builtin(subgroup_invocation_id) own_lane: u32,
 ) {
+    lane = own_lane % LANES;
     let count = counters[COLORED_COUNT];
-    for (var slot = 4u * id.x; slot < count; slot += 4u * groups.x * WORKGROUP_SIZE) {
-        backward(slot);
+    let step = 4u * WORKGROUP_SIZE;
+    for (var first = step * group.x; first < count; first += step * groups.x) {
+        backward(first + 4u * thread);
     }
 }
 
@@ -39,7 +43,7 @@ fn backward(slot: u32) {
             hidden_b[at + 2u * WIDTH_BLOCKS],
             hidden_b[at + 3u * WIDTH_BLOCKS],
         );
-        let gradient = where_positive(neurons, multiply_back(Tile(), layer_3[row], by_out));
+        let gradient = where_positive(neurons, multiply_back(Tile(), block_3(row), by_out));
         by_b[row] = gradient;
         gradients_b[at] = gradient[0];
         gradients_b[at + WIDTH_BLOCKS] = gradient[1];
@@ -61,9 +65,10 @@ fn backward(slot: u32) {
         gradients_a[at + 2u * WIDTH_BLOCKS] = gradient[2];
         gradients_a[at + 3u * WIDTH_BLOCKS] = gradient[3];
         let w = row * INPUT_BLOCKS;
-        by_features[0] = multiply_back(by_features[0], layer_1[w], gradient);
-        by_features[1] = multiply_back(by_features[1], layer_1[w + 1u], gradient);
-        by_features[2] = multiply_back(by_features[2], layer_1[w + 2u], gradient);
+        let of_ab = columns_1(w);
+        by_features[0] = multiply_back(by_features[0], low_columns(of_ab), gradient);
+        by_features[1] = multiply_back(by_features[1], high_columns(of_ab), gradient);
+        by_features[2] = multiply_back(by_features[2], low_columns(columns_1(w + 2u)), gradient);
     }
     for (var s = 0u; s < 4u; s++) {
         let out = 3u * (slot + s);

@@ -15,12 +15,16 @@ override KEEPS_HIDDEN: bool;
 
 @compute @workgroup_size(WORKGROUP_SIZE)
 fn network_forward_four(
-    @builtin(global_invocation_id) id: vec3<u32>,
+    @builtin(workgroup_id) group: vec3<u32>,
     @builtin(num_workgroups) groups: vec3<u32>,
+    @builtin(local_invocation_index) thread: u32,
+    @builtin(subgroup_invocation_id) own_lane: u32,
 ) {
+    lane = own_lane % LANES;
     let count = counters[COLORED_COUNT];
-    for (var slot = 4u * id.x; slot < count; slot += 4u * groups.x * WORKGROUP_SIZE) {
-        forward(slot);
+    let step = 4u * WORKGROUP_SIZE;
+    for (var first = step * group.x; first < count; first += step * groups.x) {
+        forward(first + 4u * thread);
     }
 }
 
@@ -51,7 +55,7 @@ fn forward(slot: u32) {
     var sum = for_all_samples(layer_3[2u * WIDTH_BLOCKS][0]);
     for (var row = 0u; row < WIDTH_BLOCKS; row++) {
         let neurons = hidden_2(row, &hidden);
-        sum = multiply_add(sum, layer_3[row], neurons);
+        sum = multiply_add_block(sum, block_3(row), neurons);
         if KEEPS_HIDDEN {
             hidden_b[first + row] = neurons[0];
             hidden_b[first + WIDTH_BLOCKS + row] = neurons[1];

@@ -1,4 +1,5 @@
-// Adds the points' gradients to those of the nodes around them that one part holds; one thread a point, as many times as it takes.
+// Adds the points' gradients to those of the nodes around them that one part holds; one thread a point and a
+// level, as many times as it takes.
 
 override WORKGROUP_SIZE: u32;
 
@@ -23,15 +24,13 @@ fn scatter_gradients(
     @builtin(global_invocation_id) id: vec3<u32>,
     @builtin(num_workgroups) groups: vec3<u32>,
 ) {
-    let count = counters[POINT_COUNT];
-    for (var p = id.x; p < count; p += groups.x * WORKGROUP_SIZE) {
-        let point = points[p];
+    // One loop over pairs of points and levels: software adapters pay dearly for loops within loops.
+    let count = counters[POINT_COUNT] * part.level_count;
+    for (var i = id.x; i < count; i += groups.x * WORKGROUP_SIZE) {
+        let point = points[i / part.level_count];
         // Nothing to add, and bricks that only such points read are not touched.
-        if point.raw == 0.0 && point.slot == NO_SLOT {
-            continue;
-        }
-        for (var l = 0u; l < part.level_count; l++) {
-            scatter(point, corners_at(levels[l], point.position_m));
+        if point.raw != 0.0 || point.slot != NO_SLOT {
+            scatter(point, corners_at(levels[i % part.level_count], point.position_m));
         }
     }
 }

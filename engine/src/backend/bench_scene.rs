@@ -1,4 +1,5 @@
-//! The scene on which backends are timed: a fuzzy ball in 128^3 voxels, seen by random rays of up to 128 samples.
+//! The scene on which backends are timed: a fuzzy ball in 128^3 voxels, seen by random rays that look up 128 densities on average and colour
+//! 15 to 16 samples. Nothing is skipped, and no ray ends before it leaves the box.
 
 use glam::{UVec3, Vec3};
 
@@ -8,10 +9,10 @@ use crate::train::ray::{Backdrop, RayLosses, Silhouette, TrainRay};
 
 const SIDE_M: f32 = 12.8;
 const VOXEL_M: f32 = 0.1;
-/// Steps along an edge of the box.
-const STEPS: f32 = 128.0;
+/// Steps along an edge of the box; most rays cross it obliquely.
+const STEPS: f32 = 112.0;
 /// Of the ball, in which density rises towards the centre.
-const RADIUS_M: f32 = 5.0;
+const RADIUS_M: f32 = 2.9;
 
 /// Dense nodes, features at random, a network of this width, no sky.
 pub fn field(width: usize) -> Field {

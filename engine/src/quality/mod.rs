@@ -7,5 +7,5 @@ mod report;
 
 pub use coverage::{AZIMUTH_SECTORS, ViewCoverage};
 pub use image::{psnr_db, ssim};
-pub use render::{RenderedRay, render_rays};
+pub use render::{RenderedRay, render_counted, render_rays};
 pub use report::QualityReport;

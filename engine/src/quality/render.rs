@@ -26,14 +26,22 @@ pub struct RenderedRay {
 
 /// Renders every ray of a field.
 pub fn render_rays(field: &Field, rays: &[Ray]) -> Vec<RenderedRay> {
+    render_counted(field, rays).0
+}
+
+/// [`render_rays`], and how many samples were coloured.
+#[doc(hidden)]
+pub fn render_counted(field: &Field, rays: &[Ray]) -> (Vec<RenderedRay>, usize) {
     let mut rendered = vec![RenderedRay::default(); rays.len()];
-    rendered
+    let colored = rendered
         .par_chunks_mut(RAYS_PER_CHUNK)
         .zip(rays.par_chunks(RAYS_PER_CHUNK))
-        .for_each_init(Scratch::default, |scratch, (out, rays)| {
-            scratch.render(field, rays, out)
-        });
-    rendered
+        .map_init(Scratch::default, |scratch, (out, rays)| {
+            scratch.render(field, rays, out);
+            scratch.positions.len()
+        })
+        .sum();
+    (rendered, colored)
 }
 
 #[derive(Default)]

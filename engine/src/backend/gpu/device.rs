@@ -58,7 +58,7 @@ impl Device {
         let info = adapter.get_info();
         let descriptor = wgpu::DeviceDescriptor {
             label: Some("backlot"),
-            required_features: wgpu::Features::empty(),
+            required_features: features_of(adapter),
             required_limits: limits.clone(),
             ..Default::default()
         };
@@ -222,6 +222,17 @@ impl Device {
         self.info.device_type == wgpu::DeviceType::Cpu
     }
 
+    /// Processors that a software adapter runs kernels on; `None` on hardware.
+    pub(super) fn processors(&self) -> Option<u32> {
+        let count = std::thread::available_parallelism().map_or(1, |count| count.get() as u32);
+        self.is_software().then_some(count)
+    }
+
+    /// Whether kernels run whose threads read together.
+    pub(super) fn reads_together(&self) -> bool {
+        self.device.features().contains(wgpu::Features::SUBGROUP)
+    }
+
     fn alive(&self) -> Result<(), Error> {
         let lost = self.lost.lock().map_or_else(
             |poisoned| poisoned.into_inner().clone(),
@@ -237,6 +248,17 @@ impl Device {
     #[cfg(test)]
     pub(super) fn destroy(&self) {
         self.device.destroy();
+    }
+}
+
+/// Subgroups where they are of use: in software, where threads do not read the same value at once, and wide enough.
+fn features_of(adapter: &wgpu::Adapter) -> wgpu::Features {
+    let info = adapter.get_info();
+    let is_software = info.device_type == wgpu::DeviceType::Cpu;
+    if is_software && info.subgroup_min_size >= backlot_shaders::SUBGROUP {
+        adapter.features() & wgpu::Features::SUBGROUP
+    } else {
+        wgpu::Features::empty()
     }
 }
 

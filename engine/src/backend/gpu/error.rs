@@ -35,6 +35,9 @@ pub enum Error {
         needed_bytes: u64,
         held_bytes: u64,
     },
+    /// The caller no longer wants it.
+    #[error("cancelled")]
+    Cancelled,
     /// The driver refused a call that is legal for all we know.
     #[error("{stage}: {reason}")]
     Rejected { stage: &'static str, reason: String },
@@ -60,6 +63,7 @@ impl From<Error> for crate::Error {
                 needed_bytes,
                 available_bytes,
             },
+            Error::Cancelled => Self::Cancelled,
             other => Self::Device {
                 what: other.to_string(),
             },

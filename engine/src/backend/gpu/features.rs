@@ -1,8 +1,8 @@
 //! Colour features in device buffers: three quads a node, each quad in buffers of its own, so that few outgrow a binding.
 
-use super::device::Device;
 use super::error::Error;
 use super::parts::Parts;
+use super::upload::{NODES_PER_COPY, Upload};
 use crate::field::{BRICK_NODES, FEATURES, Lattice};
 
 pub(super) type Quad = [f32; 4];
@@ -13,25 +13,25 @@ pub(super) const QUADS: usize = FEATURES / 4;
 /// Parts are gathered one after the other: more would be slower than the processor.
 const MOST_PARTS: usize = 32;
 
-/// Nodes that are copied to or from the device at a time, 4 MiB of quads: the transposed copy of a dense background would take half a
-/// gigabyte a quad.
-pub(super) const NODES_PER_COPY: usize = 1 << 18;
-
 const LABELS: [&str; QUADS] = ["features 0 to 3", "features 4 to 7", "features 8 to 11"];
 
 /// All features of all levels, levels one after the other with one null brick before them, as the bricks are numbered.
 ///
 /// # Errors
-/// [`Error::TooLarge`] or [`Error::OutOfMemory`] where they do not fit.
-pub(super) fn upload(device: &Device, levels: &[Lattice]) -> Result<[Parts<Quad>; QUADS], Error> {
+/// [`Error::TooLarge`] or [`Error::OutOfMemory`] where they do not fit, and those of [`Upload::go_on`].
+pub(super) fn upload(
+    upload: Upload<'_>,
+    levels: &[Lattice],
+) -> Result<[Parts<Quad>; QUADS], Error> {
     Ok([
-        quad(device, levels, 0)?,
-        quad(device, levels, 1)?,
-        quad(device, levels, 2)?,
+        quad(upload, levels, 0)?,
+        quad(upload, levels, 1)?,
+        quad(upload, levels, 2)?,
     ])
 }
 
-fn quad(device: &Device, levels: &[Lattice], number: usize) -> Result<Parts<Quad>, Error> {
+fn quad(upload: Upload<'_>, levels: &[Lattice], number: usize) -> Result<Parts<Quad>, Error> {
+    let device = upload.device;
     let quads = Parts::zeroed(device, LABELS[number], node_count(levels), MOST_PARTS)?;
     let mut at = BRICK_NODES;
     let mut values = Vec::with_capacity(NODES_PER_COPY);
@@ -41,8 +41,7 @@ fn quad(device: &Device, levels: &[Lattice], number: usize) -> Result<Parts<Quad
             values.extend(part.iter().map(|node| node.as_chunks::<4>().0[number]));
             quads.write(device, at, &values);
             at += part.len();
-            // Staging memory of what was written goes back before more is taken.
-            device.flush()?;
+            upload.go_on()?;
         }
     }
     Ok(quads)

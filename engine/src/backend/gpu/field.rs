@@ -8,8 +8,10 @@ use wgpu::BufferUsages;
 use super::buffer::Buffer;
 use super::device::Device;
 use super::error::Error;
+use super::features::node_count;
 use super::parts::Parts;
 use super::pipeline::Pipeline;
+use super::upload::{NODES_PER_COPY, Upload};
 use crate::field::march::{FACE_NUDGE, SIGMA_MIN};
 use crate::field::{BRICK_NODES, Field, Lattice, NULL_BRICK, Occupancy};
 
@@ -34,14 +36,15 @@ pub(super) struct ResidentField {
 }
 
 impl ResidentField {
-    pub(super) fn upload(device: &Device, field: &Field) -> Result<Self, Error> {
-        let pyramid = flatten(field.levels());
+    /// # Errors
+    /// [`Error::TooLarge`] or [`Error::OutOfMemory`] where it does not fit, and those of [`Upload::go_on`].
+    pub(super) fn upload(upload: Upload<'_>, field: &Field) -> Result<Self, Error> {
+        let device = upload.device;
+        let pyramid = index(field.levels());
         let occupancy = field.occupancy();
         let blocks = blocks(occupancy);
         let storage = BufferUsages::STORAGE;
-        let nodes = pyramid.density.len();
-        let density = Parts::zeroed(device, "density", nodes, backlot_shaders::DENSITY_PARTS)?;
-        density.write(device, 0, &pyramid.density);
+        let density = density(upload, field.levels())?;
         let resident = Self {
             levels: Buffer::from_slice(device, "levels", &pyramid.levels, storage)?,
             brick_index: Buffer::from_slice(device, "brick index", &pyramid.brick_index, storage)?,
@@ -93,22 +96,35 @@ impl ResidentField {
     }
 }
 
-pub(super) struct Pyramid {
-    pub(super) levels: Vec<layout::Level>,
-    pub(super) brick_index: Vec<u32>,
-    pub(super) density: Vec<f32>,
+/// Densities of all levels, one after the other after one null brick.
+fn density(upload: Upload<'_>, levels: &[Lattice]) -> Result<Parts<f32>, Error> {
+    let parts = backlot_shaders::DENSITY_PARTS;
+    let density = Parts::zeroed(upload.device, "density", node_count(levels), parts)?;
+    let mut at = BRICK_NODES;
+    for level in levels {
+        for piece in level.density()[BRICK_NODES..].chunks(NODES_PER_COPY) {
+            density.write(upload.device, at, piece);
+            at += piece.len();
+            upload.go_on()?;
+        }
+    }
+    Ok(density)
+}
+
+/// Where bricks are found.
+struct BrickIndex {
+    levels: Vec<layout::Level>,
+    brick_index: Vec<u32>,
 }
 
 /// Puts the levels one after the other; every level's null brick becomes brick 0.
-pub(super) fn flatten(levels: &[Lattice]) -> Pyramid {
-    let mut pyramid = Pyramid {
+fn index(levels: &[Lattice]) -> BrickIndex {
+    let mut pyramid = BrickIndex {
         levels: Vec::new(),
         brick_index: Vec::new(),
-        density: vec![0.0; BRICK_NODES],
     };
+    let mut shift = 0;
     for level in levels {
-        // The level's brick 1 comes after what is there already.
-        let shift = (pyramid.density.len() / BRICK_NODES) as u32 - 1;
         pyramid.levels.push(layout::Level {
             origin_m: level.origin_m().to_array(),
             voxel_m: level.voxel_m(),
@@ -125,14 +141,13 @@ pub(super) fn flatten(levels: &[Lattice]) -> Pyramid {
         pyramid
             .brick_index
             .extend(level.index().iter().map(shifted));
-        pyramid
-            .density
-            .extend_from_slice(&level.density()[BRICK_NODES..]);
+        // The next level's brick 1 comes after what is there already.
+        shift += (level.density().len() / BRICK_NODES) as u32 - 1;
     }
     pyramid
 }
 
-pub(super) fn blocks(occupancy: &Occupancy) -> Vec<layout::Block> {
+fn blocks(occupancy: &Occupancy) -> Vec<layout::Block> {
     let stored = occupancy.masks().iter().zip(occupancy.steps_m());
     let block = |(words, step_m): (&[u64; 8], &f32)| {
         let mut mask = [0; 16];
@@ -147,7 +162,7 @@ pub(super) fn blocks(occupancy: &Occupancy) -> Vec<layout::Block> {
     stored.map(block).collect()
 }
 
-pub(super) fn params(field: &Field) -> layout::MarchParams {
+fn params(field: &Field) -> layout::MarchParams {
     let (low, high) = field.bounds();
     let (occupancy, activation) = (field.occupancy(), field.activation());
     layout::MarchParams {

@@ -8,11 +8,15 @@ mod buffer;
 
 mod pipeline;
 
+mod kernel_times;
+
 mod sequence;
 
 mod parts;
 
 mod pace;
+
+mod upload;
 
 mod field;
 
@@ -36,6 +40,7 @@ mod parity_tests;
 pub use device::adapters;
 pub use durable::DurableGpu;
 pub use error::Error;
+pub use kernel_times::KernelTimes;
 pub use train::{GpuSums, GpuTrainer};
 
 use std::sync::Arc;
@@ -95,6 +100,12 @@ impl GpuBackend {
         GpuTrainer::with_variant(self.device.clone(), field, takes_four)
     }
 
+    /// Whether the device runs the kernels that take four samples a thread.
+    #[doc(hidden)]
+    pub fn has_four_sample_kernels(&self) -> bool {
+        self.device.reads_together()
+    }
+
     /// Kernels dispatched on this device so far.
     pub fn dispatch_count(&self) -> u64 {
         self.device.dispatch_count()
@@ -111,7 +122,8 @@ impl Backend for GpuBackend {
     }
 
     fn load(&self, field: &Arc<Field>) -> Result<Box<dyn LoadedField>> {
-        let resident = field::ResidentField::upload(&self.device, field)?;
+        let upload = upload::Upload::of_all(&self.device);
+        let resident = field::ResidentField::upload(upload, field)?;
         Ok(Box::new(march::GpuField::new(
             self.device.clone(),
             resident,

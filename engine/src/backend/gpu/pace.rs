@@ -2,23 +2,23 @@
 
 use std::time::Duration;
 
-/// A cancelled call must end within 100 ms of work, and a batch may be twice as dear as the one it was measured by.
-const TARGET: Duration = Duration::from_millis(40);
-
 /// Rays of the next batch.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Pace {
+    target: Duration,
     rays: usize,
     least: usize,
     most: usize,
 }
 
 impl Pace {
-    /// A first batch of `least` rays; none will have fewer nor more than `most`.
-    pub(super) fn new(least: usize, most: usize) -> Self {
+    /// A first batch of `least` rays; none will have fewer nor more than `most`, and all shall take `target`. A cancelled call must end
+    /// within 100 ms of work, a batch may be twice as dear as the one it was measured by, and software adapters work with several threads.
+    pub(super) fn new(target: Duration, least: usize, most: usize) -> Self {
         let most = most.max(1);
         let least = least.clamp(1, most);
         Self {
+            target,
             rays: least,
             least,
             most,
@@ -31,7 +31,7 @@ impl Pace {
 
     /// The pace after a batch of `rays` took `elapsed`: at most twice or half the last one.
     pub(super) fn after(self, rays: usize, elapsed: Duration) -> Self {
-        let ratio = TARGET.as_secs_f64() / elapsed.as_secs_f64().max(1e-6);
+        let ratio = self.target.as_secs_f64() / elapsed.as_secs_f64().max(1e-6);
         // A batch that was cut short by the end of its image or step says little about a full one.
         let from = rays.clamp(self.rays / 2, self.rays) as f64;
         let next = from * ratio.clamp(0.5, 2.0);
@@ -46,12 +46,13 @@ impl Pace {
 mod tests {
     use super::*;
 
+    const TARGET: Duration = Duration::from_millis(40);
     const LEAST: usize = 256;
     const MOST: usize = 1 << 16;
 
     /// Batches until the pace no longer moves on a device of this many rays a second.
     fn settled(rays_per_s: f64) -> usize {
-        let mut pace = Pace::new(LEAST, MOST);
+        let mut pace = Pace::new(TARGET, LEAST, MOST);
         for _ in 0..40 {
             let elapsed = Duration::from_secs_f64(pace.rays() as f64 / rays_per_s);
             pace = pace.after(pace.rays(), elapsed);
@@ -73,7 +74,7 @@ mod tests {
     fn one_slow_batch_halves_it_at_most() {
         let pace = Pace {
             rays: 8192,
-            ..Pace::new(LEAST, MOST)
+            ..Pace::new(TARGET, LEAST, MOST)
         };
         assert_eq!(pace.after(8192, Duration::from_secs(9)).rays(), 4096);
         assert_eq!(pace.after(8192, Duration::ZERO).rays(), 16_384);
@@ -82,7 +83,7 @@ mod tests {
 
     #[test]
     fn batches_that_are_never_as_large_as_they_may_do_not_let_the_pace_run_away() {
-        let mut pace = Pace::new(16, MOST);
+        let mut pace = Pace::new(TARGET, 16, MOST);
         for _ in 0..40 {
             pace = pace.after(pace.rays().min(100), Duration::from_micros(1));
         }

@@ -100,6 +100,15 @@ impl Pipeline {
                 reason: format!("it binds {needed} buffers, the adapter binds {available}"),
             });
         }
+        if kernel.uses_subgroup && !device.reads_together() {
+            return Err(Error::Rejected {
+                stage: kernel.name,
+                reason: format!(
+                    "it needs subgroups of {} threads or more",
+                    backlot_shaders::SUBGROUP
+                ),
+            });
+        }
         let entries: Vec<_> = (0..)
             .zip(kernel.bindings)
             .map(|(number, binding)| layout_entry(number, binding))
@@ -148,6 +157,10 @@ impl Pipeline {
             layout,
             kernel: *kernel,
         })
+    }
+
+    pub(super) fn name(&self) -> &'static str {
+        self.kernel.name
     }
 
     pub(super) fn groups(&self, device: &Device, items: u32) -> Groups {

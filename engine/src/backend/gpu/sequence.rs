@@ -2,6 +2,7 @@
 
 use super::device::Device;
 use super::error::Error;
+use super::kernel_times::KernelTimes;
 use super::pipeline::{Groups, Pipeline};
 
 enum Command<'a> {
@@ -55,6 +56,32 @@ impl<'a> Sequence<'a> {
             to,
             bytes,
         });
+    }
+
+    /// Runs the commands one by one, waits for each, and adds what each took to its kernel's time.
+    ///
+    /// # Errors
+    /// As [`Self::submit`].
+    pub(super) fn submit_timed(
+        self,
+        times: &mut KernelTimes,
+    ) -> Result<wgpu::SubmissionIndex, Error> {
+        let (device, label) = (self.device, self.label);
+        let mut last = Self::new(device, label).submit()?;
+        for command in self.commands {
+            let name = match &command {
+                Command::Dispatch(kernel, ..) => kernel.name(),
+                Command::Clear(..) | Command::Copy { .. } => "clearing and copying",
+            };
+            let mut alone = Self::new(device, label);
+            alone.commands.push(command);
+            device.wait_for(last)?;
+            let began = times.now();
+            last = alone.submit()?;
+            device.wait_for(last.clone())?;
+            times.add(name, began);
+        }
+        Ok(last)
     }
 
     /// Hands everything to the device and does not wait.

@@ -1,15 +1,17 @@
 //! How soon a cancelled call ends: what the device is given between two questions, and that it is given nothing after a yes.
 
-use std::sync::Mutex;
+use std::sync::{Arc, Mutex};
 
 use super::adapter::{on_adapter, open};
 use super::street::{Street, camera};
 use crate::Error;
-use crate::backend::Backend;
 use crate::backend::cpu::tests::{LOSSES, field, rays_of_all_sorts};
 use crate::backend::gpu::GpuBackend;
+use crate::backend::gpu::upload::NODES_PER_COPY;
+use crate::backend::{Backend, bench_scene};
 use crate::camera::Distortion;
-use crate::scene::RenderOptions;
+use crate::field::BRICK_NODES;
+use crate::scene::{RenderOptions, Scene};
 use crate::train::ray::Rates;
 
 const RATES: Rates = Rates {
@@ -95,6 +97,61 @@ fn parity_of_cancelled_steps_which_dispatch_nothing_more() {
     });
 }
 
+/// # Errors
+/// Tells how often an upload of this many nodes was asked about, if that is too seldom.
+fn asked_for_every_piece(asks: usize, nodes: usize) -> Result<(), String> {
+    // Densities and three quads of features.
+    let pieces = 4 * nodes.div_ceil(NODES_PER_COPY);
+    if asks < pieces {
+        return Err(format!("{asks} questions, {pieces} pieces"));
+    }
+    Ok(())
+}
+
+#[test]
+fn parity_of_cancelled_uploads_which_write_nothing_more() {
+    on_adapter("cancelled uploads", |shared| {
+        let gpu = open().expect("opens");
+        let background = Arc::new(bench_scene::field(16));
+        let nodes = background.levels()[0].density().len() - BRICK_NODES;
+        let street = Street::new();
+        let scene = Scene {
+            background: Some(&background),
+            ..street.scene(camera(Distortion::None).resized(62, 19))
+        };
+        let options = RenderOptions::default();
+        for stop in [0, 1, 9, 4 * nodes.div_ceil(NODES_PER_COPY) - 1] {
+            let before = gpu.dispatch_count();
+            let asked = Asked {
+                stop: Some(stop),
+                ..Asked::default()
+            };
+            let stopped = gpu.render(&scene, &options, &|| asked.answer(&gpu));
+            assert!(matches!(stopped, Err(Error::Cancelled)), "{stopped:?}");
+            assert_eq!(asked.counts().len(), stop + 1, "asked again after a yes");
+            assert_eq!(
+                gpu.dispatch_count(),
+                before,
+                "{stop}: it was uploaded by then"
+            );
+            assert_eq!(gpu.resident_bytes(), 0, "{stop}: something is kept");
+        }
+        let asked = Asked::default();
+        let before = gpu.dispatch_count();
+        let whole = gpu.render(&scene, &options, &|| asked.answer(&gpu));
+        whole.expect("nobody cancels");
+        assert!(gpu.resident_bytes() > 100 << 20);
+        let counts = asked.counts();
+        let asks = counts.iter().filter(|count| **count == before).count();
+        asked_for_every_piece(asks, nodes).expect("short pieces");
+        // Broken: an upload in one go asks before the first kernel alone.
+        assert!(asked_for_every_piece(1, nodes).is_err());
+        let small = street.scene(camera(Distortion::None).resized(62, 19));
+        let rendered = shared.render(&small, &options, &|| false);
+        rendered.expect("renders");
+    });
+}
+
 #[test]
 fn parity_of_cancelled_frames_which_dispatch_nothing_more() {
     on_adapter("cancelled frames", |shared| {
@@ -102,6 +159,8 @@ fn parity_of_cancelled_frames_which_dispatch_nothing_more() {
         let street = Street::new();
         let scene = street.scene(camera(Distortion::None).resized(124, 37));
         let options = RenderOptions::default();
+        // What is asked while assets are uploaded is another test.
+        gpu.render(&scene, &options, &|| false).expect("renders");
         let asked = Asked::default();
         let frame = gpu.render(&scene, &options, &|| asked.answer(&gpu));
         frame.expect("nobody cancels");

@@ -10,6 +10,7 @@ use crate::backend::gpu::features::{self, QUADS, Quad};
 use crate::backend::gpu::field::ResidentField;
 use crate::backend::gpu::parts::Parts;
 use crate::backend::gpu::train::network::ResidentNetwork;
+use crate::backend::gpu::upload::Upload;
 use crate::field::mlp::MlpLayout;
 use crate::field::{Field, SkyMap};
 
@@ -32,11 +33,13 @@ pub(super) struct ResidentSky {
 
 impl ResidentAsset {
     /// # Errors
-    /// [`Error::TooLarge`] where a buffer outgrows the adapter's bindings, [`Error::OutOfMemory`] where the device is full.
-    pub(super) fn upload(device: &Device, field: &Field) -> Result<Self, Error> {
+    /// [`Error::TooLarge`] where a buffer outgrows the adapter's bindings, [`Error::OutOfMemory`] where the device is full, and those
+    /// of [`Upload::go_on`].
+    pub(super) fn upload(upload: Upload<'_>, field: &Field) -> Result<Self, Error> {
+        let device = upload.device;
         Ok(Self {
-            shape: ResidentField::upload(device, field)?,
-            features: features::upload(device, field.levels())?,
+            shape: ResidentField::upload(upload, field)?,
+            features: features::upload(upload, field.levels())?,
             network: ResidentNetwork::upload(device, field.mlp())?,
             network_layout: field.mlp().layout(),
             sky: field

@@ -53,17 +53,22 @@ impl Staged<'_> {
         })
     }
 
-    /// Everything that the batch shows.
+    /// Everything that the batch shows. `cancelled` is asked between what is marched and what is coloured.
     pub(super) fn render(
         &self,
         work: &mut Workspace,
         room: &mut Room,
         plan: &Plan,
+        cancelled: &dyn Fn() -> bool,
     ) -> Result<Shown, Error> {
         let (rays, pairs) = (plan.requests.len(), plan.pair_requests.len());
         self.with_room(work, room, plan, |work, room| {
             self.march_pairs(work, room, plan)?;
             self.merge(work, room, plan)?;
+            self.device.wait()?;
+            if cancelled() {
+                return Err(Error::Cancelled);
+            }
             let slots = room.slots(rays.max(pairs) as u32);
             self.color_background(work, room, slots, rays as u32)?;
             for (object, range) in plan.object_pairs.iter().enumerate() {

@@ -12,6 +12,7 @@ use super::kernels::network;
 use super::workspace::{Lists, Room, Workspace};
 use crate::backend::gpu::error::Error;
 use crate::backend::gpu::pipeline::{Groups, Pipeline};
+use crate::backend::gpu::train::free_groups;
 use crate::scene::Tone;
 
 /// Coloured samples that one thread of the colour kernels takes, about.
@@ -157,6 +158,9 @@ impl Staged<'_> {
 
     /// Workgroups of a kernel whose threads take items until there are none.
     fn any_number(&self, kernel: &Pipeline, items: u32) -> Groups {
+        if self.device.is_software() {
+            return free_groups(self.device);
+        }
         let most = self.device.limits.max_compute_workgroups_per_dimension;
         let groups = kernel.groups(self.device, items.div_ceil(SLOTS_PER_THREAD));
         Groups {

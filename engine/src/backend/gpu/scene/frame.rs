@@ -1,12 +1,12 @@
 //! A frame batch by batch.
 
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use backlot_shaders::layout::{MarchParams, Ray, RaySample, RaySummary};
 use wgpu::BufferUsages;
 
 use super::batch::{Shown, Staged};
-use super::plan::{Outline, Pixels, Plan, Tile, tiles};
+use super::plan::{Outline, Pixels, Plan, Tile, spread, tiles};
 use super::resolve::{Question, Resolved};
 use super::workspace::{Room, Workspace};
 use crate::Result;
@@ -19,8 +19,10 @@ use crate::scene::TileResult;
 
 /// Side of a tile, the least a batch can be: 256 rays and as many pairs with each object where small objects take sixteen a pixel.
 const TILE_PX: u32 = 4;
-/// Rays of a batch: a tile where small objects take sixteen a pixel; 64 Ki rays fill the largest card and take some 200 MiB of buffers.
-const LEAST_RAYS: usize = 256;
+/// A batch asks at its start and within.
+const BATCH: Duration = Duration::from_millis(30);
+/// Rays of a batch: four tiles, or less than one where small objects take sixteen a pixel; 64 Ki rays fill the largest card and take some 200 MiB of buffers.
+const LEAST_RAYS: usize = 64;
 const MOST_RAYS: usize = 1 << 16;
 /// Rays of one dispatch that answers questions about static objects: 10 to 40 ms of marching in software.
 const QUESTIONS_PER_DISPATCH: usize = 1 << 13;
@@ -49,7 +51,7 @@ impl<'a> Frame<'a> {
     }
 
     /// # Errors
-    /// [`crate::Error::Cancelled`], asked before each batch, and the device's.
+    /// [`crate::Error::Cancelled`], asked before each batch and within, and the device's.
     pub(super) fn render(
         &self,
         work: &mut Workspace,
@@ -58,9 +60,9 @@ impl<'a> Frame<'a> {
     ) -> Result<Vec<TileResult>> {
         let staged = self.staged;
         let camera = &staged.scene.camera;
-        let all = tiles(camera.width, camera.height, TILE_PX);
+        let all = spread(&tiles(camera.width, camera.height, TILE_PX));
         let mut resolved = Resolved::new(staged.scene);
-        let mut pace = Pace::new(LEAST_RAYS, MOST_RAYS);
+        let mut pace = Pace::new(BATCH, LEAST_RAYS, MOST_RAYS);
         let mut rest = &all[..];
         while !rest.is_empty() {
             let most = room.most_lists(staged.device.max_binding_bytes());
@@ -70,7 +72,7 @@ impl<'a> Frame<'a> {
                 return Err(crate::Error::Cancelled);
             }
             let began = Instant::now();
-            let (plan, shown) = match self.batch(work, room, &pixels) {
+            let (plan, shown) = match self.batch(work, room, &pixels, cancelled) {
                 // Lists have grown since the batch was chosen: a smaller one fits.
                 Err(Error::TooLarge { .. }) if count > 1 => continue,
                 done => done?,
@@ -98,10 +100,11 @@ impl<'a> Frame<'a> {
         work: &mut Workspace,
         room: &mut Room,
         pixels: &Pixels,
+        cancelled: &dyn Fn() -> bool,
     ) -> Result<(Plan, Shown), Error> {
-        let sides = self.sides(work, room, pixels)?;
+        let sides = self.sides(work, room, pixels, cancelled)?;
         let plan = Plan::new(pixels, self.outlines.len(), |p| sides[p], |_, _| true);
-        let shown = self.staged.render(work, room, &plan)?;
+        let shown = self.staged.render(work, room, &plan, cancelled)?;
         Ok((plan, shown))
     }
 
@@ -131,6 +134,7 @@ impl<'a> Frame<'a> {
         work: &mut Workspace,
         room: &mut Room,
         pixels: &Pixels,
+        cancelled: &dyn Fn() -> bool,
     ) -> Result<Vec<u32>, Error> {
         let wanted = |pixel: usize| pixels.probe_side(pixel, &self.outlines, self.side);
         let small = |_: usize, object: u32| self.outlines[object as usize].supersample > self.side;
@@ -144,6 +148,9 @@ impl<'a> Frame<'a> {
             return Ok(vec![self.side; pixels.len()]);
         }
         let met = self.staged.probe(work, room, &probe)?;
+        if cancelled() {
+            return Err(Error::Cancelled);
+        }
         let meets = |pixel: usize| {
             let mut pairs = probe.rays(pixel).flat_map(|ray| probe.pairs(ray));
             pairs.any(|pair| met[*pair as usize].count > 0)

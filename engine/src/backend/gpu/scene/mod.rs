@@ -79,10 +79,10 @@ impl SceneRenderer {
     ) -> Result<RenderedFrame> {
         let prepared = Prepared::checked(scene, options)?;
         let background = prepared.background.unwrap_or(&self.nothing);
-        let background = self.shelf.get(device, background)?;
+        let background = self.shelf.get(device, background, cancelled)?;
         let objects = prepared.objects.iter();
         let objects: Vec<Pinned<'_>> = objects
-            .map(|object| self.shelf.get(device, object.field))
+            .map(|object| self.shelf.get(device, object.field, cancelled))
             .collect::<Result<_, Error>>()?;
         let staged = Staged {
             device,

@@ -163,6 +163,22 @@ pub(super) fn tiles(width: u32, height: u32, side: u32) -> Vec<Tile> {
     tiles
 }
 
+/// The tiles in an order in which any few in a row lie all over the image: batches then cost alike, wherever sky and cars are, and the last
+/// one tells what the next will take.
+pub(super) fn spread(tiles: &[Tile]) -> Vec<Tile> {
+    let count = tiles.len();
+    // Multiples of the golden ratio spread best; a stride without a common divisor meets every tile once.
+    let golden = (count as f64 * 0.618_034) as usize;
+    let stride = (golden.max(1)..).find(|stride| divisor(*stride, count) == 1);
+    let stride = stride.unwrap_or(1);
+    (0..count).map(|i| tiles[i * stride % count]).collect()
+}
+
+/// The greatest common divisor.
+fn divisor(a: usize, b: usize) -> usize {
+    if b == 0 { a } else { divisor(b, a % b) }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -189,6 +205,25 @@ mod tests {
             }
         }
         assert!(seen.iter().all(|count| *count == 1));
+    }
+
+    #[test]
+    fn spread_tiles_are_the_same_tiles_and_few_of_them_lie_everywhere() {
+        for (width, height) in [(1, 1), (4, 4), (37, 21), (310, 94), (1242, 375)] {
+            let rows = tiles(width, height, 4);
+            let mut all = spread(&rows);
+            let sixteenth = &all[..all.len().div_ceil(16)];
+            if all.len() > 1000 {
+                for quarter in 0..4 {
+                    let own = |tile: &&Tile| 4 * tile.y / height == quarter;
+                    let share = sixteenth.iter().filter(own).count() * 4;
+                    assert!(share * 5 > sixteenth.len() * 4, "{width} x {height}");
+                }
+            }
+            all.sort_by_key(|tile| (tile.y, tile.x));
+            assert_eq!(all, rows);
+        }
+        assert!(spread(&[]).is_empty());
     }
 
     #[test]

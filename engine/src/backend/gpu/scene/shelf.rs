@@ -1,13 +1,18 @@
 //! Assets on the device, kept while they fit.
 
 use std::collections::HashMap;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, TryLockError, Weak};
+use std::time::Duration;
 
 use super::asset::ResidentAsset;
 use crate::backend::gpu::device::Device;
 use crate::backend::gpu::error::Error;
 use crate::backend::gpu::residency::{NoRoom, Residency};
+use crate::backend::gpu::upload::Upload;
 use crate::field::Field;
+
+/// How often who waits for somebody else's upload asks whether it is cancelled; a piece of an upload takes about as long.
+const PATIENCE: Duration = Duration::from_millis(2);
 
 /// Where a field lies in memory. It is the field's alone as long as a [`Weak`] holds the place.
 type Place = usize;
@@ -46,16 +51,22 @@ impl Shelf {
         self.lock().residency.bytes()
     }
 
-    /// A field on the device; uploads it if it is not there. Uploads go one at a time: the bus is one.
+    /// A field on the device; uploads it if it is not there. Uploads go one at a time: the bus is one. `cancelled` is asked between pieces
+    /// of an upload, and while another one is waited for.
     ///
     /// # Errors
     /// [`Error::NoRoom`] where it does not fit beside what is in use, and what [`ResidentAsset::upload`] fails with.
-    pub(super) fn get(&self, device: &Device, field: &Arc<Field>) -> Result<Pinned<'_>, Error> {
+    pub(super) fn get(
+        &self,
+        device: &Device,
+        field: &Arc<Field>,
+        cancelled: &dyn Fn() -> bool,
+    ) -> Result<Pinned<'_>, Error> {
         let place = Arc::as_ptr(field) as Place;
-        let mut kept = self.lock();
+        let mut kept = self.lock_unless(cancelled)?;
         kept.drop_dead();
         if !kept.residency.pin(place) {
-            kept.upload(device, field, place)?;
+            kept.upload(Upload::new(device, cancelled), field, place)?;
         }
         let asset = Arc::clone(&kept.assets[&place].1);
         Ok(Pinned {
@@ -66,18 +77,42 @@ impl Shelf {
     }
 
     fn lock(&self) -> MutexGuard<'_, Kept> {
-        // A panic while an asset was uploaded leaves its pin.
-        self.kept.lock().unwrap_or_else(|poisoned| {
-            self.kept.clear_poison();
-            let mut kept = PoisonError::into_inner(poisoned);
-            kept.drop_missing();
-            kept
-        })
+        self.kept
+            .lock()
+            .unwrap_or_else(|poisoned| self.recovered(poisoned))
+    }
+
+    /// [`Self::lock`] by a caller that may be cancelled while somebody else's asset is uploaded.
+    fn lock_unless(&self, cancelled: &dyn Fn() -> bool) -> Result<MutexGuard<'_, Kept>, Error> {
+        loop {
+            match self.kept.try_lock() {
+                Ok(kept) => return Ok(kept),
+                Err(TryLockError::Poisoned(poisoned)) => return Ok(self.recovered(poisoned)),
+                Err(TryLockError::WouldBlock) if cancelled() => return Err(Error::Cancelled),
+                Err(TryLockError::WouldBlock) => std::thread::sleep(PATIENCE),
+            }
+        }
+    }
+
+    /// A panic while an asset was uploaded leaves its pin.
+    fn recovered<'a>(
+        &'a self,
+        poisoned: PoisonError<MutexGuard<'a, Kept>>,
+    ) -> MutexGuard<'a, Kept> {
+        self.kept.clear_poison();
+        let mut kept = poisoned.into_inner();
+        kept.drop_missing();
+        kept
     }
 }
 
 impl Kept {
-    fn upload(&mut self, device: &Device, field: &Arc<Field>, place: Place) -> Result<(), Error> {
+    fn upload(
+        &mut self,
+        upload: Upload<'_>,
+        field: &Arc<Field>,
+        place: Place,
+    ) -> Result<(), Error> {
         let bytes = ResidentAsset::bytes_of(field);
         let gone = self.residency.admit(place, bytes);
         let gone = gone.map_err(
@@ -92,11 +127,11 @@ impl Kept {
         for place in gone {
             self.assets.remove(&place);
         }
-        let mut uploaded = ResidentAsset::upload(device, field);
+        let mut uploaded = ResidentAsset::upload(upload, field);
         if matches!(uploaded, Err(Error::OutOfMemory { .. })) {
             // The card has less than the limit, or others use it: nothing but what is in use stays.
             self.drop_unpinned();
-            uploaded = ResidentAsset::upload(device, field);
+            uploaded = ResidentAsset::upload(upload, field);
         }
         match uploaded {
             Ok(asset) => {
@@ -149,7 +184,25 @@ impl Drop for Pinned<'_> {
 
 #[cfg(test)]
 mod tests {
+    use std::cell::Cell;
+
     use super::*;
+
+    #[test]
+    fn who_waits_for_an_upload_can_be_cancelled() {
+        let shelf = Shelf::new(100);
+        let asked = Cell::new(0);
+        let cancelled = || {
+            asked.set(asked.get() + 1);
+            asked.get() == 3
+        };
+        let uploading = shelf.lock();
+        let waited = shelf.lock_unless(&cancelled).map(|_| ());
+        assert_eq!(waited, Err(Error::Cancelled));
+        drop(uploading);
+        assert!(shelf.lock_unless(&cancelled).is_ok());
+        assert_eq!(asked.get(), 3, "who need not wait is not asked");
+    }
 
     #[test]
     fn a_panic_while_an_asset_was_uploaded_leaves_no_pin() {

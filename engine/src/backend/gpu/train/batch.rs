@@ -1,6 +1,6 @@
 //! What a batch of rays needs between its kernels.
 
-use backlot_shaders::{INPUT_BLOCKS, layout};
+use backlot_shaders::{INPUT_BLOCKS, SLOTS_AT_ONCE, layout};
 use wgpu::BufferUsages;
 
 use super::network::{Block, layer_params, weight_blocks, width_blocks};
@@ -39,14 +39,16 @@ impl Capacity {
         step_rays: usize,
     ) -> Self {
         // A processor wants a batch near its caches, a GPU wants many samples.
-        let (hidden_bytes, shares): (u64, u32) = if device.is_software() {
-            (32 << 20, 8)
-        } else {
-            (256 << 20, 64)
+        // Every share of weight gradients is read and written once a batch.
+        let (hidden_bytes, shares): (u64, u32) = match device.processors() {
+            Some(count) => (32 << 20, count.clamp(2, 8)),
+            None => (256 << 20, 64),
         };
         let width_bytes = (network.width * size_of::<f32>()) as u64;
         let widest = width_bytes.max(BYTES_PER_SLOT);
         let samples = (hidden_bytes / width_bytes).min(device.max_binding_bytes() / widest);
+        // Kernels that take many slots at once write past the last.
+        let samples = samples.saturating_sub(u64::from(SLOTS_AT_ONCE) - 1);
         let samples = u32::try_from(samples).unwrap_or(u32::MAX);
         let step_rays = step_rays.max(1) as u32;
         Self {
@@ -125,8 +127,7 @@ impl Batch {
         let samples = rays * capacity.samples_per_ray as usize;
         let step_rays = capacity.step_rays as usize;
         let blocks = capacity.shares as usize * weight_blocks(network);
-        // Some kernels take four slots at a time.
-        let slots = samples.next_multiple_of(4);
+        let slots = samples.next_multiple_of(SLOTS_AT_ONCE as usize);
         let neurons = slots * width_blocks(network);
         let storage = BufferUsages::STORAGE;
         let layer = |params: &layout::LayerParams| {

@@ -5,7 +5,7 @@ use backlot_shaders::layout;
 use super::batch::Batch;
 use super::kernels::TrainKernels;
 use super::lattices::Lattices;
-use super::network::ResidentNetwork;
+use super::network::{ResidentNetwork, layer_params};
 use super::part_bindings::NodeBindings;
 use super::sky::Sky;
 use super::state::StepBuffers;
@@ -182,6 +182,7 @@ fn layer_gradients(
 ) -> Result<[wgpu::BindGroup; 3], Error> {
     let batch = buffers.batch;
     let [by_a, by_b] = &batch.hidden_gradients;
+    let layers = layer_params(buffers.network.layout());
     let layer = |number: usize, inputs: &wgpu::Buffer, gradients: &wgpu::Buffer| {
         let own = [
             &batch.layers[number].raw,
@@ -190,7 +191,8 @@ fn layer_gradients(
             gradients,
             &batch.weight_gradients.raw,
         ];
-        kernels.layer_gradients.bind(device, &own)
+        let layer = &layers[number];
+        kernels.layer_gradients(layer).bind(device, &own)
     };
     Ok([
         layer(0, &batch.slot_inputs.raw, &by_a.raw)?,

@@ -1,5 +1,7 @@
 //! The stages of a step on the device, for comparing them with the CPU's.
 
+use std::time::Duration;
+
 use backlot_shaders::{INPUT_BLOCKS, VIEW_SUMS, VIEW_VALUES, layout};
 
 use super::GpuTrainer;
@@ -16,7 +18,7 @@ type Result<T> = std::result::Result<T, super::Error>;
 impl GpuTrainer {
     /// Trains in batches of this many rays, however long they take.
     pub(in crate::backend::gpu) fn batches_of(&mut self, rays: usize) {
-        self.pace = Pace::new(rays, rays);
+        self.pace = Pace::new(Duration::MAX, rays, rays);
     }
 
     /// Buffers that hold the densities, and those of every quad of features.
@@ -36,7 +38,7 @@ impl GpuTrainer {
             self.views.set(&self.device, corrections)?;
             self.bindings = None;
         }
-        self.upload(rays.len())?;
+        self.upload(rays.len(), &|| false)?;
         let params = layout::TrainParams {
             ray_count: rays.len() as u32,
             step_ray_count: rays.len() as u32,

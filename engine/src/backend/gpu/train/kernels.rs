@@ -2,16 +2,17 @@
 
 use std::sync::Arc;
 
-use backlot_shaders::{Kernel, kernels};
+use backlot_shaders::layout::LayerParams;
+use backlot_shaders::{Kernel, SUBGROUP, kernels};
 
-use super::network::width_blocks;
+use super::network::{gradient_tiles, width_blocks};
 use crate::backend::cpu::view_corrections::ARM_M;
 use crate::backend::cpu::{adam, scatter};
 use crate::backend::gpu::device::Device;
 use crate::backend::gpu::error::Error;
 use crate::backend::gpu::field::ResidentField;
 use crate::backend::gpu::march::march_kernel;
-use crate::backend::gpu::pipeline::Pipeline;
+use crate::backend::gpu::pipeline::{Groups, Pipeline};
 use crate::field::mlp::MlpLayout;
 
 #[derive(Debug)]
@@ -23,7 +24,7 @@ pub(super) struct TrainKernels {
     pub(super) forward: Arc<Pipeline>,
     pub(super) losses: Arc<Pipeline>,
     pub(super) backward: Arc<Pipeline>,
-    pub(super) layer_gradients: Arc<Pipeline>,
+    layer_gradients: LayerKernels,
     pub(super) scatter: Arc<Pipeline>,
     pub(super) poses: Arc<Pipeline>,
     pub(super) sum: Arc<Pipeline>,
@@ -73,7 +74,7 @@ impl TrainKernels {
             forward: forward(device, network, takes_four, true)?,
             losses: plain(&kernels::RAY_LOSSES)?,
             backward: device.pipeline(&backward, &width)?,
-            layer_gradients: plain(&kernels::LAYER_GRADIENTS)?,
+            layer_gradients: LayerKernels::new(device, takes_four)?,
             scatter: plain(&kernels::SCATTER_GRADIENTS)?,
             poses: plain(&kernels::POSE_GRADIENTS)?,
             sum: plain(&kernels::SUM_STEP)?,
@@ -84,6 +85,65 @@ impl TrainKernels {
             variation: plain(&kernels::BRICK_VARIATION)?,
             smooth: plain(&kernels::SMOOTH_BRICKS)?,
         })
+    }
+}
+
+/// What sums the gradients of weights.
+#[derive(Debug)]
+enum LayerKernels {
+    /// One tile of weights a thread.
+    Alone(Arc<Pipeline>),
+    /// Threads read together: layers whose outputs are divided among them, and the last one, which has too few.
+    Shared {
+        outputs: Arc<Pipeline>,
+        inputs: Arc<Pipeline>,
+    },
+}
+
+impl LayerKernels {
+    fn new(device: &Device, takes_four: bool) -> Result<Self, Error> {
+        if !takes_four {
+            return Ok(Self::Alone(
+                device.pipeline(&kernels::LAYER_GRADIENTS, &[])?,
+            ));
+        }
+        let shared = |takes_inputs: bool| {
+            let parameters = [("TAKES_INPUTS", f64::from(u8::from(takes_inputs)))];
+            device.pipeline(&kernels::LAYER_GRADIENTS_SHARED, &parameters)
+        };
+        Ok(Self::Shared {
+            outputs: shared(false)?,
+            inputs: shared(true)?,
+        })
+    }
+}
+
+impl TrainKernels {
+    /// What sums the gradients of a layer's weights.
+    pub(super) fn layer_gradients(&self, layer: &LayerParams) -> &Pipeline {
+        match &self.layer_gradients {
+            LayerKernels::Alone(kernel) => kernel,
+            LayerKernels::Shared { inputs, .. } if layer.output_quads == 1 => inputs,
+            LayerKernels::Shared { outputs, .. } => outputs,
+        }
+    }
+
+    /// Its workgroups, for samples divided into `shares`.
+    pub(super) fn layer_groups(&self, device: &Device, layer: &LayerParams, shares: u32) -> Groups {
+        match &self.layer_gradients {
+            LayerKernels::Alone(kernel) => kernel.groups(device, gradient_tiles(layer) * shares),
+            LayerKernels::Shared { .. } => {
+                let others = if layer.output_quads == 1 {
+                    1
+                } else {
+                    layer.input_quads
+                };
+                Groups {
+                    x: others.div_ceil(SUBGROUP) * shares,
+                    y: 1,
+                }
+            }
+        }
     }
 }
 

@@ -7,9 +7,10 @@ use super::squares::LevelSquares;
 use crate::backend::gpu::buffer::Buffer;
 use crate::backend::gpu::device::Device;
 use crate::backend::gpu::error::Error;
-use crate::backend::gpu::features::{self, NODES_PER_COPY, QUADS, Quad};
+use crate::backend::gpu::features::{self, QUADS, Quad};
 use crate::backend::gpu::field::ResidentField;
 use crate::backend::gpu::parts::Parts;
+use crate::backend::gpu::upload::{NODES_PER_COPY, Upload};
 use crate::field::{BRICK_NODES, Field, Lattice};
 
 /// All levels under one brick numbering, whose brick 0 is the null brick of each. What no binding holds as a whole is divided into parts,
@@ -32,18 +33,18 @@ pub(super) struct Lattices {
 
 impl Lattices {
     pub(super) fn upload(
-        device: &Device,
+        upload: Upload<'_>,
         field: &Field,
         squares: &mut [LevelSquares],
     ) -> Result<Self, Error> {
-        let levels = field.levels();
-        let features = features::upload(device, levels)?;
+        let (device, levels) = (upload.device, field.levels());
+        let features = features::upload(upload, levels)?;
         let (nodes, division) = (features[0].nodes(), features[0].nodes_per_part());
         let bricks = nodes / BRICK_NODES;
         let storage = BufferUsages::STORAGE;
         let scalars = |what| Parts::divided(device, what, nodes, division);
         let quads = |what| Parts::divided(device, what, nodes, division);
-        let shape = ResidentField::upload(device, field)?;
+        let shape = ResidentField::upload(upload, field)?;
         let parts = part_params(&shape, &features[0]);
         let lattices = Self {
             shape,
@@ -69,7 +70,7 @@ impl Lattices {
                 .map(|part| Buffer::from_slice(device, "part", &[*part], BufferUsages::UNIFORM))
                 .collect::<Result<_, _>>()?,
         };
-        lattices.write_squares(device, levels, squares)?;
+        lattices.write_squares(upload, levels, squares)?;
         Ok(lattices)
     }
 
@@ -80,7 +81,7 @@ impl Lattices {
 
     fn write_squares(
         &self,
-        device: &Device,
+        upload: Upload<'_>,
         levels: &[Lattice],
         squares: &mut [LevelSquares],
     ) -> Result<(), Error> {
@@ -90,10 +91,10 @@ impl Lattices {
             let density = squares.density[BRICK_NODES..].chunks(NODES_PER_COPY);
             let features = squares.features[BRICK_NODES..].chunks(NODES_PER_COPY);
             for (density, features) in density.zip(features) {
-                self.density_squares.write(device, at, density);
-                self.feature_squares.write(device, at, features);
+                self.density_squares.write(upload.device, at, density);
+                self.feature_squares.write(upload.device, at, features);
                 at += density.len();
-                device.flush()?;
+                upload.go_on()?;
             }
         }
         Ok(())

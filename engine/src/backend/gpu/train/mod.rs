@@ -31,21 +31,24 @@ use batch::{Batch, Capacity, most_samples};
 use bindings::{Bindings, Buffers};
 use kernels::TrainKernels;
 use lattices::Lattices;
-use network::{ResidentNetwork, gradient_tiles, layer_params};
+use network::{ResidentNetwork, layer_params};
 use rays::{march_ray, step_params, target};
 use sky::Sky;
 use squares::LevelSquares;
 use state::StepBuffers;
 use submissions::Submissions;
-use update::{free_groups, go_on};
+pub(super) use update::free_groups;
+use update::go_on;
 use views::Views;
 
 use super::buffer::Buffer;
 use super::device::Device;
 use super::error::Error;
+use super::kernel_times::KernelTimes;
 use super::pace::Pace;
 use super::pipeline::Pipeline;
 use super::sequence::Sequence;
+use super::upload::Upload;
 use crate::backend::cpu::ViewCorrection;
 use crate::field::Field;
 use crate::train::ray::{Rates, RayLosses, TrainRay};
@@ -104,7 +107,7 @@ impl GpuTrainer {
     /// [`Error::TooLarge`] or [`Error::OutOfMemory`] where it does not fit, [`Error::Lost`] and [`Error::Rejected`].
     pub(super) fn new(device: Device, field: Field) -> Result<Self, Error> {
         // Reading a weight is broadcast for free on a GPU, and dearer than using it in software.
-        let takes_four = device.is_software();
+        let takes_four = device.reads_together();
         Self::with_variant(device, field, takes_four)
     }
 
@@ -116,7 +119,7 @@ impl GpuTrainer {
     ) -> Result<Self, Error> {
         let network = field.mlp.layout();
         let mut squares = vec![LevelSquares::default(); field.levels.len()];
-        let lattices = Lattices::upload(&device, &field, &mut squares)?;
+        let lattices = Lattices::upload(Upload::of_all(&device), &field, &mut squares)?;
         let mut trainer = Self {
             kernels: TrainKernels::new(&device, &lattices.shape, network, takes_four)?,
             takes_four,
@@ -133,14 +136,14 @@ impl GpuTrainer {
             colors_alone: None,
             steps: 0,
             submissions: Submissions::default(),
-            pace: Pace::new(LEAST_RAYS, MOST_RAYS),
+            pace: Pace::new(BATCH, LEAST_RAYS, MOST_RAYS),
             last_batch: (0, Duration::ZERO),
             march_rays: Vec::new(),
             targets: Vec::new(),
             field,
             device,
         };
-        trainer.upload(1)?;
+        trainer.upload(1, &|| false)?;
         Ok(trainer)
     }
 
@@ -211,7 +214,7 @@ impl GpuTrainer {
         if self.views.prepare(&self.device, rays, rates)? {
             self.bindings = None;
         }
-        self.upload(rays.len())?;
+        self.upload(rays.len(), cancelled)?;
         let mut params = step_params(&self.field, losses, rates, self.steps);
         params.step_ray_count = rays.len() as u32;
         params.trim_quantile = trim_quantile as f32;
@@ -234,11 +237,30 @@ impl GpuTrainer {
         Ok(())
     }
 
+    /// What each kernel of a step takes on `clock`, for tuning: they run one by one.
+    ///
+    /// # Errors
+    /// As [`Self::step`].
+    #[doc(hidden)]
+    pub fn kernel_times(
+        &mut self,
+        rays: &[TrainRay],
+        losses: &RayLosses,
+        rates: Rates,
+        clock: fn() -> Duration,
+    ) -> crate::Result<KernelTimes> {
+        self.submissions.time_kernels(Some(KernelTimes::new(clock)));
+        let stepped = self.step(rays, losses, rates, 0.0, &|| false);
+        let times = self.submissions.time_kernels(None);
+        stepped.map(|()| times.unwrap_or_else(|| KernelTimes::new(clock)))
+    }
+
     /// Waits for the last batch and says how many rays the next one has.
     fn next_batch(&mut self) -> Result<usize, Error> {
         self.submissions.settle(&self.device)?;
         let (rays, busy) = self.last_batch;
-        if rays > 0 {
+        // Kernels that run one by one say nothing about those that do not.
+        if rays > 0 && !self.submissions.times_kernels() {
             let busy = busy + self.submissions.take_busy();
             self.pace = self.pace.after(rays, busy);
             self.last_batch = (0, Duration::ZERO);
@@ -247,13 +269,13 @@ impl GpuTrainer {
         Ok(self.pace.rays().min(room))
     }
 
-    /// The colours of all samples of `rays`, for timing; waits for them.
+    /// The colours of all samples of `rays`, for timing; waits for them. Returns how many there are.
     ///
     /// # Errors
     /// The device's.
     #[doc(hidden)]
-    pub fn forward(&mut self, rays: &[TrainRay], losses: &RayLosses) -> Result<(), Error> {
-        self.upload(rays.len())?;
+    pub fn forward(&mut self, rays: &[TrainRay], losses: &RayLosses) -> Result<u64, Error> {
+        self.upload(rays.len(), &|| false)?;
         let network = self.field.mlp.layout();
         let kernel = kernels::forward(&self.device, network, self.takes_four, false)?;
         let (lattices, batch, _) = self.resident();
@@ -264,9 +286,12 @@ impl GpuTrainer {
         for rays in rays.chunks(room) {
             params.ray_count = rays.len() as u32;
             self.submit_forward(rays, params)?;
+            params.first_ray += params.ray_count;
         }
         self.colors_alone = None;
-        self.submissions.settle(&self.device)
+        self.submissions.settle(&self.device)?;
+        let counters = self.resident().1.counters.read(&self.device, 4)?;
+        Ok(counters[STEP_COLORED_COUNT].into())
     }
 
     /// What the last step summed; waits for it.
@@ -286,10 +311,11 @@ impl GpuTrainer {
     }
 
     /// Makes the field and room for `rays` rays a step resident, unless they are.
-    fn upload(&mut self, rays: usize) -> Result<(), Error> {
+    fn upload(&mut self, rays: usize, cancelled: &dyn Fn() -> bool) -> Result<(), Error> {
         if self.lattices.is_none() {
             let (field, squares) = (&self.field, &mut self.squares);
-            let lattices = Lattices::upload(&self.device, field, squares)?;
+            let upload = Upload::new(&self.device, cancelled);
+            let lattices = Lattices::upload(upload, field, squares)?;
             let network = field.mlp.layout();
             self.kernels =
                 TrainKernels::new(&self.device, &lattices.shape, network, self.takes_four)?;
@@ -408,9 +434,8 @@ impl GpuTrainer {
             sequence.run(&kernels.backward, &bindings.backward, free);
             let layers = layer_params(trainer.field.mlp.layout());
             for (layer, bound) in layers.iter().zip(&bindings.layer_gradients) {
-                let threads = gradient_tiles(layer) * batch.capacity.shares;
-                let groups = kernels.layer_gradients.groups(device, threads);
-                sequence.run(&kernels.layer_gradients, bound, groups);
+                let groups = kernels.layer_groups(device, layer, batch.capacity.shares);
+                sequence.run(kernels.layer_gradients(layer), bound, groups);
             }
             for part in &bindings.parts {
                 sequence.run(&kernels.scatter, &part.scatter, free);
@@ -423,7 +448,11 @@ impl GpuTrainer {
     }
 }
 
-/// Rays of the first batch, and of every batch at least: a few milliseconds in software even where every sample is coloured.
-const LEAST_RAYS: usize = 16;
+/// Where the counters of a batch count what the whole step has coloured.
+const STEP_COLORED_COUNT: usize = 2;
+/// A batch is two submissions.
+const BATCH: Duration = Duration::from_millis(40);
+/// Rays of the first batch, and of every batch at least: 20 ms of a processor in software, a third of it whatever the rays show.
+const LEAST_RAYS: usize = 64;
 /// More than there is room for, or than a step has.
 const MOST_RAYS: usize = 1 << 20;

@@ -47,6 +47,10 @@ impl ResidentNetwork {
         Ok(network)
     }
 
+    pub(super) fn layout(&self) -> MlpLayout {
+        self.layout
+    }
+
     /// Copies the weights to the layers.
     pub(in crate::backend::gpu) fn spread<'a>(&'a self, sequence: &mut Sequence<'a>) {
         let mut offset = 0;

@@ -4,6 +4,7 @@ use std::time::{Duration, Instant};
 
 use crate::backend::gpu::device::Device;
 use crate::backend::gpu::error::Error;
+use crate::backend::gpu::kernel_times::KernelTimes;
 use crate::backend::gpu::sequence::Sequence;
 use crate::backend::gpu::turns::Priority;
 
@@ -12,6 +13,8 @@ use crate::backend::gpu::turns::Priority;
 pub(super) struct Submissions {
     pending: Option<wgpu::SubmissionIndex>,
     busy: Duration,
+    /// Kernels run one by one while there are any.
+    times: Option<KernelTimes>,
 }
 
 impl Submissions {
@@ -23,7 +26,11 @@ impl Submissions {
     ) -> Result<(), Error> {
         let turn = device.turn(Priority::Training);
         let began = Instant::now();
-        let submission = write().submit()?;
+        let sequence = write();
+        let submission = match &mut self.times {
+            Some(times) => sequence.submit_timed(times)?,
+            None => sequence.submit()?,
+        };
         let last = self.pending.replace(submission);
         // Whoever waits gets an idle device; what is measured is then this turn's work, and not theirs.
         let settled = if turn.is_wanted() {
@@ -46,6 +53,15 @@ impl Submissions {
             self.busy += began.elapsed();
         }
         Ok(())
+    }
+
+    /// Takes the times of kernels from now on, if `times` are given, and returns those taken so far.
+    pub(super) fn time_kernels(&mut self, times: Option<KernelTimes>) -> Option<KernelTimes> {
+        std::mem::replace(&mut self.times, times)
+    }
+
+    pub(super) fn times_kernels(&self) -> bool {
+        self.times.is_some()
     }
 
     /// How long the device was busy since the last call, as far as anybody waited for it.

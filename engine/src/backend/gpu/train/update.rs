@@ -140,8 +140,9 @@ pub(super) fn go_on(cancelled: &dyn Fn() -> bool) -> crate::Result<()> {
     Ok(())
 }
 
-/// Workgroups of kernels that take items until there are no more.
-pub(super) fn free_groups(device: &Device) -> Groups {
-    let x = if device.is_software() { 32 } else { 4096 };
+/// Workgroups of kernels that take items until there are no more. In software no more than keep its processors busy: what else is
+/// launched finds nothing to do.
+pub(in crate::backend::gpu) fn free_groups(device: &Device) -> Groups {
+    let x = device.processors().map_or(4096, |count| 2 * count);
     Groups { x, y: 1 }
 }
