@@ -8,6 +8,8 @@ pub mod logs;
 
 pub mod damaged_masks;
 
+pub mod mask_score;
+
 pub mod onnx;
 
 pub mod painted;

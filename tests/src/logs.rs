@@ -17,6 +17,11 @@ pub fn tiny(seed: u64) -> ReadLog {
     let log = made
         .entry(seed)
         .or_insert_with(|| record(seed, (160, 96), 12, 18.0));
+    copy(log)
+}
+
+/// The same log once more.
+pub fn copy(log: &ReadLog) -> ReadLog {
     ReadLog {
         drive_log: log.drive_log.clone(),
         blobs: log.blobs.clone(),

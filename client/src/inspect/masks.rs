@@ -52,7 +52,7 @@ impl<'a> MaskPictures<'a> {
         };
         let log = drive_log_from_wire(wire).map_err(|e| unusable(format!("{e:?}")))?;
         let matching = MaskMatching::default();
-        let masks = match_masks(&log, &LogMasks(read), &matching, |_, _| true);
+        let masks = match_masks(&log, read, &LogMasks(read), &matching, |_, _| true);
         let masks = masks.map_err(|e| unusable(e.to_string()))?;
         Ok(Self {
             read,

@@ -19,7 +19,7 @@ use super::tied_masks::TiedMask;
 use crate::domain::blob::{BlobRef, Digest};
 
 /// Version of the form, and of the rules by which labels are made: grows with either, so that what older servers decided is not reused.
-pub(crate) const DECOMPOSITION_VERSION: u32 = 2;
+pub(crate) const DECOMPOSITION_VERSION: u32 = 3;
 
 /// All that a decomposition depends on.
 #[derive(Clone, Debug, PartialEq, Serialize)]

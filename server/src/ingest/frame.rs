@@ -134,7 +134,8 @@ impl<'a, B: LogBlobs> FrameLoader<'a, B> {
             ),
             None => Default::default(),
         };
-        let placed = self.place_sweeps(frame)?;
+        self.read_sweeps(frame)?;
+        let placed: Vec<_> = self.sweeps.iter().flat_map(|(_, r)| r).copied().collect();
         let mut returns = project_returns(
             &placed,
             &self.log.tracks,
@@ -159,7 +160,7 @@ impl<'a, B: LogBlobs> FrameLoader<'a, B> {
         })
     }
 
-    /// The sweeps that the last frame was loaded with: index in the log, and the returns.
+    /// The sweeps of the last frame: index in the log, and the returns.
     pub(crate) fn sweeps(&self) -> &[(usize, Vec<WorldReturn>)] {
         &self.sweeps
     }
@@ -221,10 +222,8 @@ impl<'a, B: LogBlobs> FrameLoader<'a, B> {
         Ok(())
     }
 
-    fn place_sweeps(
-        &mut self,
-        frame: &CameraFrame,
-    ) -> Result<Vec<WorldReturn>, FrameError<B::Error>> {
+    /// Reads the sweeps that belong to a frame, so that [`Self::sweeps`] has them.
+    pub(super) fn read_sweeps(&mut self, frame: &CameraFrame) -> Result<(), FrameError<B::Error>> {
         let wanted = nearest_sweeps(self.log, frame.timestamp_ns, SWEEP_TOLERANCE_NS);
         self.sweeps.retain(|(i, _)| wanted.contains(i));
         for i in wanted {
@@ -234,7 +233,7 @@ impl<'a, B: LogBlobs> FrameLoader<'a, B> {
                 self.sweeps.push((i, place_sweep(self.log, sweep, &bytes)));
             }
         }
-        Ok(self.sweeps.iter().flat_map(|(_, r)| r).copied().collect())
+        Ok(())
     }
 }
 

@@ -106,6 +106,12 @@ pub(super) fn bounds(polygon: &[DVec2]) -> Option<(DVec2, DVec2)> {
     )
 }
 
+/// Whether a point lies in a convex polygon, its edges included.
+pub(super) fn contains(polygon: &[DVec2], point: DVec2) -> bool {
+    let n = polygon.len();
+    (0..n).all(|i| (polygon[(i + 1) % n] - polygon[i]).perp_dot(point - polygon[i]) >= 0.0)
+}
+
 /// Calls `visit(row, columns)` for the pixels whose centres lie inside a convex polygon, within `width` x `height`.
 pub(super) fn raster(
     polygon: &[DVec2],
@@ -171,6 +177,9 @@ mod tests {
         let mut pixels = 0;
         raster(&hull, 100, 80, |_, columns| pixels += columns.len());
         assert_eq!(pixels, 400);
+        let inside = |x: f64, y: f64| contains(&hull, DVec2::new(x, y));
+        assert!(inside(50.0, 40.0) && inside(41.0, 49.0));
+        assert!(!inside(39.0, 40.0) && !inside(50.0, 51.0));
     }
 
     #[test]

@@ -8,7 +8,7 @@ use super::points::{SweepPoint, decode_points};
 use crate::domain::drive_log::{DriveLog, LidarSweep, Track};
 
 /// Cuboids are grown by this on every side before points are assigned: annotations clip mirrors and bumpers.
-const OWNER_MARGIN_M: f64 = 0.1;
+pub(super) const OWNER_MARGIN_M: f64 = 0.1;
 /// How far an object may move while one sweep is taken.
 const SWEEP_MOTION_M: f64 = 4.0;
 

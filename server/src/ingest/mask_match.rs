@@ -25,6 +25,10 @@ pub struct MaskMatching {
     pub most_of_nearer: f64,
     /// The share of a mask that may reach out of its cuboid's hull: annotations are loose.
     pub most_outside: f64,
+    /// The share of the LiDAR returns in a mask that may be on other objects: one in fifty goes astray.
+    pub most_returns_of_others: f64,
+    /// The share of a mask that may be new against the same track's mask in a neighbouring frame, where another cuboid is behind.
+    pub most_grown: f64,
 }
 
 impl Default for MaskMatching {
@@ -35,6 +39,8 @@ impl Default for MaskMatching {
             most_of_farther: 0.15,
             most_of_nearer: 0.6,
             most_outside: 0.2,
+            most_returns_of_others: 0.02,
+            most_grown: 0.02,
         }
     }
 }
@@ -86,13 +92,25 @@ pub(super) struct FrameMatch {
     pub outcomes: BTreeMap<u16, MaskOutcome>,
 }
 
-/// `may_be` says whether the mask of a value may show a track, as far as its class goes.
-pub(super) fn match_frame(
+/// What is known of masks beyond their pixels.
+pub(super) struct Evidence<C, R> {
+    /// Whether the mask of a value may show a track, as far as its class goes.
+    pub may_be: C,
+    /// The share of the returns in a mask that are on other objects than the one at an outline, both by index.
+    pub share_of_others: R,
+}
+
+/// Matches the masks of one image.
+pub(super) fn match_frame<C, R>(
     overlaps: &Overlaps,
     outlines: &[Outline],
     matching: &MaskMatching,
-    may_be: impl Fn(u16, usize) -> bool,
-) -> FrameMatch {
+    evidence: &Evidence<C, R>,
+) -> FrameMatch
+where
+    C: Fn(u16, usize) -> bool,
+    R: Fn(usize, usize) -> f64,
+{
     let mut possible: BTreeMap<(usize, usize), f64> = BTreeMap::new();
     let mut merged = BTreeSet::new();
     let mut of_other_class = BTreeSet::new();
@@ -101,9 +119,12 @@ pub(super) fn match_frame(
         if iou < matching.least_iou || overlaps.visible_px[outline] < LEAST_REGION_PX {
             continue;
         }
-        if shows_more(overlaps, outlines, (mask, outline), matching) {
+        let of_others = (evidence.share_of_others)(mask, outline);
+        if of_others > matching.most_returns_of_others
+            || shows_more(overlaps, outlines, (mask, outline), matching)
+        {
             merged.insert(mask);
-        } else if !may_be(overlaps.masks[mask], outlines[outline].track) {
+        } else if !(evidence.may_be)(overlaps.masks[mask], outlines[outline].track) {
             of_other_class.insert(mask);
         } else {
             possible.insert((mask, outline), iou);
@@ -278,9 +299,17 @@ mod tests {
         ]
     }
 
+    /// Without returns.
+    fn evidence<C: Fn(u16, usize) -> bool>(may_be: C) -> Evidence<C, impl Fn(usize, usize) -> f64> {
+        Evidence {
+            may_be,
+            share_of_others: |_, _| 0.0,
+        }
+    }
+
     fn matched(parts: &[(u16, Rectangle)], matching: &MaskMatching) -> FrameMatch {
         let overlaps = Overlaps::of(&mask(parts), SIZE, &street());
-        match_frame(&overlaps, &street(), matching, |_, _| true)
+        match_frame(&overlaps, &street(), matching, &evidence(|_, _| true))
     }
 
     #[test]
@@ -333,14 +362,30 @@ mod tests {
     }
 
     #[test]
+    fn a_mask_with_returns_of_another_object_is_merged() {
+        let overlaps = Overlaps::of(&mask(&[(2, (46..57, 11..20))]), SIZE, &street());
+        let matched = |share: f64| {
+            let evidence = Evidence {
+                may_be: |_: u16, _: usize| true,
+                share_of_others: move |mask, outline| f64::from((mask, outline) == (0, 2)) * share,
+            };
+            match_frame(&overlaps, &street(), &MaskMatching::default(), &evidence)
+        };
+        assert_eq!(matched(0.01).track_of, BTreeMap::from([(2, 6)]));
+        assert!(matched(0.1).track_of.is_empty());
+        assert_eq!(matched(0.1).outcomes[&2], MaskOutcome::Merged);
+        assert_eq!(matched(0.1).unmasked[&6], Rejection::MergedMask);
+    }
+
+    #[test]
     fn a_mask_of_another_class_is_no_tracks() {
         let overlaps = Overlaps::of(&mask(&[(2, (46..57, 11..20))]), SIZE, &street());
         let matching = MaskMatching::default();
-        let found = match_frame(&overlaps, &street(), &matching, |_, _| true);
+        let any = evidence(|_, _| true);
+        let found = match_frame(&overlaps, &street(), &matching, &any);
         assert_eq!(found.track_of, BTreeMap::from([(2, 6)]));
-        let found = match_frame(&overlaps, &street(), &matching, |mask, track| {
-            (mask, track) != (2, 6)
-        });
+        let not_that = evidence(|mask, track| (mask, track) != (2, 6));
+        let found = match_frame(&overlaps, &street(), &matching, &not_that);
         assert!(found.track_of.is_empty());
         assert_eq!(found.outcomes[&2], MaskOutcome::OtherClass);
         assert_eq!(found.unmasked[&6], Rejection::NoMask);

@@ -2,13 +2,17 @@
 
 use std::collections::BTreeMap;
 
+use backlot_engine::camera::Camera;
+
 use super::background::time_order;
-use super::frame::FrameError;
+use super::content::LogBlobs;
+use super::frame::{FrameError, FrameLoader};
 use super::free_masks::MaskSource;
-use super::mask_consistency::{Consistency, ScaledMask};
-use super::mask_match::{FrameMatch, MaskMatching, MaskOutcome, match_frame};
+use super::mask_consistency::{Consistency, Doubt, Doubted, ScaledMask};
+use super::mask_match::{Evidence, FrameMatch, MaskMatching, MaskOutcome, match_frame};
 use super::mask_overlap::Overlaps;
-use super::object_plan::{Outline, Rejection, outlines};
+use super::mask_returns::{MaskReturns, MaskedImage};
+use super::object_plan::{Rejection, outlines};
 use crate::domain::drive_log::{DriveLog, MASK_NONE, MASK_UNKNOWN};
 
 /// Which track each free mask of each frame shows. Empty for logs that bring none.
@@ -24,14 +28,21 @@ pub struct MatchedMasks {
 ///
 /// # Errors
 /// [`FrameError`] of the first frame that cannot be read. `Ok(None)` if `progress` said stop.
-pub fn match_masks<S: MaskSource>(
+pub fn match_masks<B: LogBlobs, S: MaskSource<Error = B::Error>>(
     log: &DriveLog,
+    blobs: &B,
     source: &S,
     matching: &MaskMatching,
     mut progress: impl FnMut(usize, usize) -> bool,
-) -> Result<Option<MatchedMasks>, FrameError<S::Error>> {
+) -> Result<Option<MatchedMasks>, FrameError<B::Error>> {
     let mut matched = MatchedMasks::default();
-    let mut consistency = Consistency::new(matching.least_follow_iou);
+    let mut matcher = Matcher {
+        log,
+        source,
+        matching,
+        loader: FrameLoader::new(log, blobs, None),
+        consistency: Consistency::new(matching),
+    };
     let order = time_order(log);
     for (done, &index) in order.iter().enumerate() {
         let frame = &log.frames[index];
@@ -48,32 +59,65 @@ pub fn match_masks<S: MaskSource>(
         if !progress(done, order.len()) {
             return Ok(None);
         }
-        let size = (camera.camera.width, camera.camera.height);
-        let seen = outlines(log, frame, &camera.camera);
-        let overlaps = Overlaps::of(&free, size, &seen);
-        let may_be = |mask: u16, track: usize| {
-            let class = source.class_of(index, mask);
-            class.is_none_or(|class| class.may_be(log.tracks[track].class))
-        };
-        let found = match_frame(&overlaps, &seen, matching, may_be);
-        for (&value, &track) in &found.track_of {
-            let own = own_outline(&seen, track);
-            let scaled = ScaledMask::new(&free, size, value, &overlaps, own);
-            let at = (index, frame.timestamp_ns);
-            consistency.follow(&frame.camera_id, track, at, scaled);
-        }
+        let found = matcher.frame(index, &camera.camera, &free)?;
         matched.frames.insert(index, found);
     }
-    for (frame, track) in consistency.finish() {
-        matched.reject(frame, track);
+    for doubted in matcher.consistency.finish() {
+        matched.reject(doubted);
     }
     Ok(Some(matched))
 }
 
-fn own_outline(seen: &[Outline], track: usize) -> (usize, &Outline) {
-    let own = |(_, outline): &(usize, &Outline)| outline.track == track;
-    let found = seen.iter().enumerate().find(own);
-    found.expect("a track was matched through its outline")
+struct Matcher<'a, B, S> {
+    log: &'a DriveLog,
+    source: &'a S,
+    matching: &'a MaskMatching,
+    loader: FrameLoader<'a, B>,
+    consistency: Consistency<'a>,
+}
+
+impl<B: LogBlobs, S: MaskSource<Error = B::Error>> Matcher<'_, B, S> {
+    /// The frame at an index of the log, whose free masks are `free`.
+    fn frame(
+        &mut self,
+        index: usize,
+        camera: &Camera,
+        free: &[u16],
+    ) -> Result<FrameMatch, FrameError<B::Error>> {
+        let frame = &self.log.frames[index];
+        let tracks = &self.log.tracks;
+        self.loader.read_sweeps(frame)?;
+        let seen = outlines(self.log, frame, camera);
+        let overlaps = Overlaps::of(free, (camera.width, camera.height), &seen);
+        let image = MaskedImage {
+            camera,
+            free,
+            masks: &overlaps.masks,
+            outlines: &seen,
+            tracks,
+        };
+        let world_from_camera = self.log.world_from_camera(frame);
+        let sweeps = self.loader.sweeps().iter().flat_map(|(_, returns)| returns);
+        let returns =
+            world_from_camera.map(|pose| MaskReturns::of(&image, &pose.inverse(), sweeps));
+        let returns = returns.unwrap_or_default();
+        let evidence = Evidence {
+            may_be: |mask: u16, track: usize| {
+                let class = self.source.class_of(index, mask);
+                class.is_none_or(|class| class.may_be(tracks[track].class))
+            },
+            share_of_others: |mask, own| returns.share_of_others(&image, (mask, own)),
+        };
+        let found = match_frame(&overlaps, &seen, self.matching, &evidence);
+        for (&value, &track) in &found.track_of {
+            let own = seen.iter().position(|outline| outline.track == track);
+            let own = own.expect("a track was matched through its outline");
+            let scaled = ScaledMask::new(&image, value, &overlaps, own);
+            let at = (index, frame.timestamp_ns);
+            self.consistency.follow(&frame.camera_id, track, at, scaled);
+        }
+        Ok(found)
+    }
 }
 
 impl MatchedMasks {
@@ -119,12 +163,17 @@ impl MatchedMasks {
             .map_or(&self.nothing, |f| &f.unmasked)
     }
 
-    fn reject(&mut self, frame: usize, track: usize) {
-        let found = self.frames.get_mut(&frame).expect("it was matched");
-        let masks = found.track_of.extract_if(.., |_, t| *t == track);
+    fn reject(&mut self, doubted: Doubted) {
+        let (outcome, rejection) = match doubted.doubt {
+            Doubt::Inconsistent => (MaskOutcome::Inconsistent, Rejection::InconsistentMask),
+            Doubt::Grown => (MaskOutcome::Merged, Rejection::MergedMask),
+        };
+        let found = self.frames.get_mut(&doubted.frame);
+        let found = found.expect("it was matched");
+        let masks = found.track_of.extract_if(.., |_, t| *t == doubted.track);
         for (value, _) in masks {
-            found.outcomes.insert(value, MaskOutcome::Inconsistent);
+            found.outcomes.insert(value, outcome);
         }
-        found.unmasked.insert(track, Rejection::InconsistentMask);
+        found.unmasked.insert(doubted.track, rejection);
     }
 }

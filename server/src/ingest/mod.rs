@@ -32,6 +32,7 @@ mod beams;
 mod mask_consistency;
 mod mask_match;
 mod mask_overlap;
+mod mask_returns;
 mod matched_masks;
 mod tied_masks;
 

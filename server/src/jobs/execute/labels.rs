@@ -144,7 +144,7 @@ pub(super) fn masked(
         segmentation: segmentation.as_ref(),
     };
     let progress = progress(control, "match", "matching masks to tracks");
-    let masks = match_masks(&log, &source, &masking.matching, progress)?;
+    let masks = match_masks(&log, &blobs, &source, &masking.matching, progress)?;
     Ok(MaskedLog {
         masks: masks.ok_or(Error::Cancelled)?,
         segmentation,
