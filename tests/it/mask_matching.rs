@@ -46,7 +46,8 @@ fn returns_and_neighbouring_frames_each_tell_what_pixels_cannot() {
     };
     let mut wrong_by_pixels = 0;
     for (seed, mut log, truths) in damaged_logs() {
-        let score = |log: &ReadLog, matching| Score::of(&matched(log, matching), &truths);
+        let score =
+            |log: &ReadLog, matching: &MaskMatching| Score::of(&matched(log, matching), &truths);
         wrong_by_pixels += score(&log, &by_pixels()).wrong.len();
         let of_returns = score(&log, &only_returns);
         log.drive_log.sweeps.clear();

@@ -406,9 +406,14 @@ pub(super) fn untie(log: &mut DriveLog, blobs: &mut Blobs) {
     }
 }
 
+/// Without sweeps: the street's scanner sees through cars.
 pub(super) fn matched(log: &DriveLog, blobs: &Blobs) -> MatchedMasks {
     let matching = MaskMatching::default();
-    let masks = match_masks(log, &LogMasks(blobs), &matching, |_, _| true);
+    let log = DriveLog {
+        sweeps: Vec::new(),
+        ..log.clone()
+    };
+    let masks = match_masks(&log, blobs, &LogMasks(blobs), &matching, |_, _| true);
     masks.unwrap().unwrap()
 }
 

@@ -64,6 +64,7 @@ pub(super) fn map_returns(
                 pixel,
                 range_m,
                 world_m,
+                origin_m: world_from_camera.translation_m,
                 owner,
                 occluded: false,
                 source: DepthSource::Map,

@@ -40,7 +40,8 @@ impl Default for MaskMatching {
             most_of_nearer: 0.6,
             most_outside: 0.2,
             most_returns_of_others: 0.02,
-            most_grown: 0.02,
+            // Two of the cells that a car fills.
+            most_grown: 0.004,
         }
     }
 }

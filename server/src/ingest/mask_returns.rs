@@ -3,14 +3,16 @@
 //! Where a farther object is seen in a corner of a nearer one's hull, pixels speak for neither, but a return on it does: a mask
 //! that holds returns of another cuboid than its own shows that object too. The scanner sits elsewhere than the camera and
 //! measures at other times, so it also meets what the camera sees hidden: such a return counts only if the mask covers the
-//! scanner's whole way past the mask's own cuboid, where that cuboid's object cannot be.
+//! scanner's whole way past the mask's own cuboid, where that cuboid's object cannot be. What lies amid nearer returns was met
+//! through glass.
 
 use backlot_engine::camera::{Camera, Rigid};
 use glam::{DVec2, DVec3};
 
-use super::lidar::{OWNER_MARGIN_M, WorldReturn};
+use super::lidar::OWNER_MARGIN_M;
 use super::object_labels::GROUND_BAND_M;
 use super::object_plan::Outline;
+use super::projected::ProjectedReturn;
 use crate::domain::drive_log::Track;
 
 /// Masks are believed this far inside their edges, in pixels: calibration and segmenters are off by about that.
@@ -46,29 +48,27 @@ pub(super) struct MaskedImage<'a> {
 
 impl MaskReturns {
     /// Returns on the ground under an object are nobody's.
-    pub(super) fn of<'r>(
+    pub(super) fn of(
         image: &MaskedImage<'_>,
         camera_from_world: &Rigid,
-        returns: impl Iterator<Item = &'r WorldReturn>,
+        returns: &[ProjectedReturn],
     ) -> Self {
         let mut of_mask = vec![Vec::new(); image.masks.len()];
         let mut outline_of = vec![None; image.tracks.len()];
         for (index, outline) in image.outlines.iter().enumerate() {
             outline_of[outline.track] = Some(index);
         }
-        for r in returns {
+        for r in returns.iter().filter(|r| !r.occluded) {
             let Some(owner) = r.owner else { continue };
             let ground_m = -image.tracks[owner.track].size_m.z / 2.0 + GROUND_BAND_M;
             let Some(outline) = outline_of[owner.track].filter(|_| owner.cuboid_m.z > ground_m)
             else {
                 continue;
             };
-            let pose = image.outlines[outline].camera_from_cuboid;
-            let point_m = pose.point(owner.cuboid_m);
-            if let Some(mask) = image.mask_around(point_m) {
+            if let Some(mask) = image.mask_around(r.pixel) {
                 of_mask[mask].push(Sighting {
                     outline,
-                    point_m,
+                    point_m: camera_from_world.point(r.world_m),
                     scanner_m: camera_from_world.point(r.origin_m),
                 });
             }
@@ -93,9 +93,8 @@ impl MaskReturns {
 }
 
 impl MaskedImage<'_> {
-    /// The mask that a point in the camera's frame lies in, off its edges.
-    fn mask_around(&self, point_m: DVec3) -> Option<usize> {
-        let pixel = self.camera.project(point_m)?;
+    /// The mask that a pixel position lies in, off its edges.
+    fn mask_around(&self, pixel: DVec2) -> Option<usize> {
         let value = self.value_at(pixel)?;
         let mask = self.masks.binary_search(&value).ok()?;
         let around = [DVec2::X, DVec2::NEG_X, DVec2::Y, DVec2::NEG_Y];
@@ -141,6 +140,7 @@ impl MaskedImage<'_> {
 mod tests {
     use backlot_engine::camera::Distortion;
     use backlot_engine::class::ObjectClass;
+    use backlot_engine::view::DepthSource;
     use glam::{DMat3, DQuat};
 
     use super::super::lidar::Owner;
@@ -189,18 +189,10 @@ mod tests {
 
     /// Twenty returns on the near object, and these on the far one, seen by a scanner beside the camera.
     fn share(free: &[u16], far_m: &[DVec3], scanner_m: DVec3) -> f64 {
-        let near = (0..20).map(|i| (NEAR, DVec3::X * (0.1 * f64::from(i) - 1.5)));
-        let on = |(track, cuboid_m): (usize, DVec3)| WorldReturn {
-            world_m: DVec3::ZERO,
-            origin_m: scanner_m,
-            owner: Some(Owner { track, cuboid_m }),
-        };
-        let nobodys = WorldReturn {
-            owner: None,
-            ..on((NEAR, DVec3::ZERO))
-        };
-        let far = far_m.iter().map(|&p| (1, p));
-        let returns: Vec<WorldReturn> = near.chain(far).map(on).chain([nobodys]).collect();
+        share_if(free, far_m, scanner_m, false)
+    }
+
+    fn share_if(free: &[u16], far_m: &[DVec3], scanner_m: DVec3, occluded: bool) -> f64 {
         let camera = Camera {
             width: 100,
             height: 80,
@@ -208,14 +200,35 @@ mod tests {
             principal_px: DVec2::new(50.0, 40.0),
             distortion: Distortion::None,
         };
+        let outlines = outlines();
+        let on = |(track, cuboid_m): (usize, DVec3)| {
+            let world_m = outlines[track].camera_from_cuboid.point(cuboid_m);
+            ProjectedReturn {
+                pixel: camera.project(world_m).unwrap(),
+                range_m: world_m.length(),
+                world_m,
+                origin_m: scanner_m,
+                owner: Some(Owner { track, cuboid_m }),
+                occluded: occluded && track != NEAR,
+                source: DepthSource::Lidar,
+                weight: 1.0,
+            }
+        };
+        let near = (0..20).map(|i| (NEAR, DVec3::X * (0.1 * f64::from(i) - 1.5)));
+        let nobodys = ProjectedReturn {
+            owner: None,
+            ..on((NEAR, DVec3::ZERO))
+        };
+        let far = far_m.iter().map(|&p| (1, p));
+        let returns: Vec<_> = near.chain(far).map(on).chain([nobodys]).collect();
         let image = MaskedImage {
             camera: &camera,
             free,
             masks: &[7],
-            outlines: &outlines(),
+            outlines: &outlines,
             tracks: &tracks(),
         };
-        let found = MaskReturns::of(&image, &Rigid::IDENTITY, returns.iter());
+        let found = MaskReturns::of(&image, &Rigid::IDENTITY, &returns);
         found.share_of_others(&image, (0, NEAR))
     }
 
@@ -226,6 +239,7 @@ mod tests {
         assert_eq!(share(&mask(true), &far, beside), 3.0 / 23.0);
         assert_eq!(share(&mask(false), &far, beside), 0.0);
         assert_eq!(share(&mask(true), &[], beside), 0.0);
+        assert_eq!(share_if(&mask(true), &far, beside, true), 0.0, "glass");
         // Under the object is ground.
         let ground = [DVec3::new(0.0, 0.0, -0.9)];
         assert_eq!(share(&mask(true), &ground, beside), 0.0);

@@ -13,6 +13,7 @@ use super::mask_match::{Evidence, FrameMatch, MaskMatching, MaskOutcome, match_f
 use super::mask_overlap::Overlaps;
 use super::mask_returns::{MaskReturns, MaskedImage};
 use super::object_plan::{Rejection, outlines};
+use super::projected::project_returns;
 use crate::domain::drive_log::{DriveLog, MASK_NONE, MASK_UNKNOWN};
 
 /// Which track each free mask of each frame shows. Empty for logs that bring none.
@@ -96,10 +97,12 @@ impl<B: LogBlobs, S: MaskSource<Error = B::Error>> Matcher<'_, B, S> {
             outlines: &seen,
             tracks,
         };
-        let world_from_camera = self.log.world_from_camera(frame);
-        let sweeps = self.loader.sweeps().iter().flat_map(|(_, returns)| returns);
-        let returns =
-            world_from_camera.map(|pose| MaskReturns::of(&image, &pose.inverse(), sweeps));
+        let placed = self.loader.sweeps().iter().flat_map(|(_, placed)| placed);
+        let placed: Vec<_> = placed.copied().collect();
+        let returns = self.log.world_from_camera(frame).map(|pose| {
+            let returns = project_returns(&placed, tracks, camera, &pose, frame.timestamp_ns);
+            MaskReturns::of(&image, &pose.inverse(), &returns)
+        });
         let returns = returns.unwrap_or_default();
         let evidence = Evidence {
             may_be: |mask: u16, track: usize| {

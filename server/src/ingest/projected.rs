@@ -16,6 +16,8 @@ pub(crate) struct ProjectedReturn {
     pub range_m: f64,
     /// World position at the frame's time: returns on an object have moved with it.
     pub world_m: DVec3,
+    /// Where it was measured from in the world: the scanner at its own time, or the camera.
+    pub origin_m: DVec3,
     pub owner: Option<Owner>,
     /// Hidden from the camera by a nearer return: the LiDAR sits elsewhere and sees past edges.
     pub occluded: bool,
@@ -64,6 +66,7 @@ pub(crate) fn project_returns(
                 pixel,
                 range_m: camera_m.length(),
                 world_m,
+                origin_m: r.origin_m,
                 owner: r.owner,
                 occluded: false,
                 source: DepthSource::Lidar,

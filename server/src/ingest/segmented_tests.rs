@@ -94,7 +94,7 @@ fn matched(log: &DriveLog, blobs: &Blobs, found: &Segmentation) -> MatchedMasks 
         segmentation: Some(found),
     };
     let matching = MaskMatching::default();
-    let masks = match_masks(log, &source, &matching, |_, _| true);
+    let masks = match_masks(log, blobs, &source, &matching, |_, _| true);
     masks.unwrap().unwrap()
 }
 

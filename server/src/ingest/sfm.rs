@@ -105,6 +105,7 @@ impl SfmCloud {
                 pixel,
                 range_m,
                 world_m,
+                origin_m: world_from_camera.translation_m,
                 owner: tracks.owner_of(world_m, timestamp_ns),
                 occluded: false,
                 source: DepthSource::SfmPoint,

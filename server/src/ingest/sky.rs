@@ -135,6 +135,7 @@ mod tests {
             pixel: DVec2::new(70.5, 25.5),
             range_m: 20.0,
             world_m: DVec3::ZERO,
+            origin_m: DVec3::ZERO,
             owner: None,
             occluded: false,
             source: DepthSource::Lidar,
