@@ -60,7 +60,7 @@ pub(super) fn grow_ground(
             {
                 continue;
             }
-            let Some(predicted) = predict(region, &found, to) else {
+            let Some(predicted) = predict(region, path, &found, to) else {
                 continue;
             };
             let surface = cell_surface(field, region, to, predicted);
@@ -130,12 +130,15 @@ fn seed(
     queue
 }
 
-/// Mean height of the grounded cells around, or of the bridged ones if there is no other.
-fn predict(region: &ValidRegion, found: &[Found], cell: usize) -> Option<f64> {
+/// Mean height of the grounded cells around, or of the bridged ones if there is no other, each carried over to the cell along
+/// the road's own slope: at a corner all that is known lies on one side.
+fn predict(region: &ValidRegion, path: &DrivenPath, found: &[Found], cell: usize) -> Option<f64> {
+    let centre = region.centre(cell);
+    let slope = path.slope_beside(centre);
     let mean = |wanted: fn(Found) -> bool| {
         let (mut sum, mut count) = (0.0, 0.0);
         for n in neighbours(region, cell, true).filter(|n| wanted(found[*n])) {
-            sum += region.ground_m[n];
+            sum += region.ground_m[n] + slope.dot(centre - region.centre(n));
             count += 1.0;
         }
         (count > 0.0).then(|| sum / count)
