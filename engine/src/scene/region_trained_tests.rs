@@ -148,10 +148,9 @@ fn far_from_expected(region: &ValidRegion, expected: &[Cell]) -> Vec<usize> {
         .collect()
 }
 
-/// Wherever the map can be told from its surroundings by more than a cell, nothing is free that must not be, and hardly anything is
-/// missed: at the corners of what few views see past the car and the wall, trained ground is uneven.
+/// Wherever the map can be told from its surroundings by more than a cell, nothing is free that must not be, and nothing is missed.
 #[test]
-fn a_trained_street_frees_nothing_more_than_a_cell_away_from_the_expected_map() {
+fn a_trained_street_has_the_expected_map_within_one_cell() {
     let (region, world) = trained_region(900);
     let expected = expected(&world, &world, &region, &near());
     let off = far_from_expected(&region, &expected);
@@ -164,7 +163,7 @@ fn a_trained_street_frees_nothing_more_than_a_cell_away_from_the_expected_map() 
         missed.len()
     );
     assert!(
-        freed.is_empty() && missed.len() * 400 < free,
+        freed.is_empty() && missed.is_empty(),
         "{} cells freed, {} missed\n{}\n{}",
         freed.len(),
         missed.len(),
