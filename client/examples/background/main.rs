@@ -59,7 +59,7 @@ struct Arguments {
     #[arg(long)]
     json: Option<PathBuf>,
     /// Measures the asset stored in this file instead of training one.
-    #[arg(long, conflicts_with = "train_s")]
+    #[arg(long, conflicts_with_all = ["train_s", "looks_s", "asset", "json"])]
     from: Option<PathBuf>,
     /// Where to write the asset.
     #[arg(long)]
@@ -100,13 +100,14 @@ fn main() -> Result<()> {
     let trained = train_background(&input, &preset, arguments.seed, &CpuBackend, &watch)?;
     let train_s = trained.quality.train_seconds;
     let rss_mib = peak_rss_mib();
+    let psnr_seen = held_out.psnr(&trained.field).seen;
     let state = watch.state.into_inner().expect("no thread panicked");
     let report = Report {
         train_s,
         steps: state.steps,
         rays: trained.quality.train_rays,
         psnr_held_out: trained.quality.psnr_held_out,
-        psnr_seen: None,
+        psnr_seen,
         ssim_held_out: trained.quality.ssim_held_out,
         depth_mae_m: trained.quality.depth_mae_m,
         psnr_train: trained.quality.psnr_train,
@@ -121,7 +122,6 @@ fn main() -> Result<()> {
     if let Some(folder) = &arguments.out {
         held_out.write(&trained.field, folder)?;
     }
-    let psnr_seen = held_out.psnr(&trained.field).seen;
     let payload = stored(trained);
     if let Some(path) = &arguments.asset {
         std::fs::write(path, &payload)
@@ -129,7 +129,6 @@ fn main() -> Result<()> {
     }
     let read_back = Asset::decode(&payload)?;
     let report = Report {
-        psnr_seen: Some(psnr_seen),
         asset_mb: Some(payload.len() as f64 / 1e6),
         psnr_stored: Some(held_out.psnr(&read_back.field).all),
         ..report

@@ -28,7 +28,7 @@ pub(crate) struct Report {
     /// Over the pixels of the held-out frames that are not sky or movers.
     pub(crate) psnr_held_out: Option<f64>,
     /// Of those, over the ones whose surface some training frame shows.
-    pub(crate) psnr_seen: Option<f64>,
+    pub(crate) psnr_seen: f64,
     pub(crate) ssim_held_out: Option<f64>,
     pub(crate) depth_mae_m: Option<f64>,
     pub(crate) psnr_train: Option<f64>,
@@ -51,7 +51,7 @@ pub(crate) struct Moment {
 
 /// The held-out frames, and which of their pixels show what training frames show.
 pub(crate) struct HeldOut<'a> {
-    pub(crate) views: &'a [TrainView],
+    views: &'a [TrainView],
     seen: HashMap<u32, Vec<bool>>,
 }
 

@@ -14,7 +14,7 @@ use backlot_server::ingest::{LogLabels, object_set, plan_objects, validate};
 use glam::{DMat3, DQuat, DVec3};
 use image::{DynamicImage, ImageBuffer, ImageFormat, Luma};
 
-/// Every so manieth frame has a bad mask: a fifth of them.
+/// One frame in so many has a bad mask.
 const BAD_EVERY: usize = 5;
 /// A bad mask is wrong this far from the car's outline, in pixels.
 const FLIPPED_PX: i64 = 4;
@@ -55,14 +55,12 @@ pub(crate) struct Subject {
 }
 
 /// The car with the most pixels; in a fifth of the frames the pixels around its outline are on the wrong side of it.
-pub(crate) fn subject(bad_masks: bool) -> Subject {
+pub(crate) fn subject() -> Subject {
     let world = street();
     let mut log = world.read_log().expect("the street can be recorded");
     let plan = plan_objects(&decoded(&log)).swap_remove(0);
-    if bad_masks {
-        for frame in plan.frames.iter().skip(2).step_by(BAD_EVERY) {
-            flip_edges(&mut log, *frame, plan.track as u16 + 1);
-        }
+    for frame in plan.frames.iter().skip(2).step_by(BAD_EVERY) {
+        flip_edges(&mut log, *frame, plan.track as u16 + 1);
     }
     let drive_log = decoded(&log);
     let set = object_set(&drive_log, &log, &LogLabels::default(), &plan, 0, |_, _| {

@@ -7,58 +7,14 @@ mod scene;
 
 use backlot_engine::Field;
 use backlot_engine::backend::cpu::CpuBackend;
-use backlot_engine::field::Ray;
-use backlot_engine::quality::{psnr_db, render_rays};
+use backlot_engine::quality::SilhouetteFigures;
 use backlot_engine::train::ray::{DepthForm, Rectified};
 use backlot_engine::train::{
     Budget, NoControl, ObjectInput, TrainPreset, train_background, train_object,
 };
-use backlot_engine::view::{PixelLabel, TrainView};
 
 /// Fixed, so that a failure is no chance.
 const SEED: u64 = 7;
-
-/// An object's figures on views with true labels.
-#[derive(Clone, Copy, Debug)]
-struct Figures {
-    /// Inside the true mask.
-    psnr: f64,
-    /// Mean accumulation of rays through the box that miss the car.
-    halo: f64,
-    /// Mean accumulation of rays that hit it.
-    opacity: f64,
-}
-
-fn figures(field: &Field, views: &[TrainView]) -> Figures {
-    let (mut error, mut inside, mut around) = (Vec::new(), Vec::new(), Vec::new());
-    let (low, high) = field.bounds();
-    for view in views {
-        let rays: Vec<Ray> = (0..view.labels.len())
-            .map(|at| view.pixel_ray(at))
-            .collect();
-        for ((at, ray), shown) in rays.iter().enumerate().zip(render_rays(field, &rays)) {
-            let accumulation = f64::from(shown.accumulation);
-            match view.labels[at] {
-                PixelLabel::Foreground => {
-                    let recorded = &view.rgb[3 * at..3 * at + 3];
-                    let pairs = shown.color.iter().zip(recorded);
-                    let squares =
-                        pairs.map(|(a, b)| (f64::from(*a) - f64::from(*b) / 255.0).powi(2));
-                    error.push(squares.sum::<f64>() / 3.0);
-                    inside.push(accumulation);
-                }
-                _ if ray.cross_box(low, high).is_some() => around.push(accumulation),
-                _ => {}
-            }
-        }
-    }
-    let mean = |x: &[f64]| x.iter().sum::<f64>() / x.len() as f64;
-    Figures {
-        psnr: psnr_db(mean(&error)),
-        halo: mean(&around),
-        opacity: mean(&inside),
-    }
-}
 
 /// How long the ablations train, and on how many views.
 #[derive(Clone, Copy)]
@@ -96,15 +52,15 @@ fn fit(input: &ObjectInput, preset: &TrainPreset, seed: u64) -> Field {
         .field
 }
 
-/// Figures of colour loss alone, cross-entropy, and the printed loss, on views of the side that was seen.
-fn rectified(scale: Scale, seed: u64) -> [Figures; 3] {
+/// SilhouetteFigures of colour loss alone, cross-entropy, and the printed loss, on views of the side that was seen.
+fn rectified(scale: Scale, seed: u64) -> [SilhouetteFigures; 3] {
     let input = scene::one_sided(scale.views, false, true);
     let views = scene::unseen(false);
     let run = |weight: f32, form: Rectified| {
         let mut preset = object_preset(scale);
         preset.mix.silhouette_weight = weight;
         preset.losses.rectified = form;
-        figures(&fit(&input, &preset, seed), &views)
+        SilhouetteFigures::of(&fit(&input, &preset, seed), &views)
     };
     let weight = object_preset(scale).mix.silhouette_weight;
     [
@@ -124,12 +80,12 @@ fn cross_entropy_lowers_the_halo_of_bad_masks_and_the_printed_loss_does_not() {
     assert!(entropy.opacity > 0.9, "{entropy:?}");
 }
 
-/// Figures on the side that no camera saw, without and with the mirror.
-fn symmetry(scale: Scale, seed: u64) -> [Figures; 2] {
+/// SilhouetteFigures on the side that no camera saw, without and with the mirror.
+fn symmetry(scale: Scale, seed: u64) -> [SilhouetteFigures; 2] {
     let views = scene::unseen(true);
     [false, true].map(|symmetric| {
         let input = scene::one_sided(scale.views, symmetric, true);
-        figures(&fit(&input, &object_preset(scale), seed), &views)
+        SilhouetteFigures::of(&fit(&input, &object_preset(scale), seed), &views)
     })
 }
 
@@ -207,15 +163,15 @@ fn per_view_exposure_recovers_uneven_exposure() {
     assert!(with > without + 0.15, "{with} {without}");
 }
 
-/// Figures on true poses after training on jittered ones, without and with pose refinement.
-fn poses(scale: Scale, seed: u64) -> [Figures; 2] {
+/// SilhouetteFigures on true poses after training on jittered ones, without and with pose refinement.
+fn poses(scale: Scale, seed: u64) -> [SilhouetteFigures; 2] {
     let input = scene::with_pose_jitter(scene::one_sided(scale.views, false, false));
     let views = scene::unseen(false);
     [0.0, 0.002].map(|rate| {
         let mut preset = object_preset(scale);
         preset.rates.pose_m = rate;
         preset.options.poses_from = 0.1;
-        figures(&fit(&input, &preset, seed), &views)
+        SilhouetteFigures::of(&fit(&input, &preset, seed), &views)
     })
 }
 

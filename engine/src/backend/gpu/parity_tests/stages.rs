@@ -81,9 +81,11 @@ fn parity_of_networks_with_one_and_with_four_samples_a_thread() {
             scene.rays.pop();
         }
         let cpu = on_cpu(&scene);
-        // Only devices whose threads read together run the second kind.
-        let variants = [false, true].into_iter();
-        for takes_four in variants.filter(|four| !four || gpu.has_four_sample_kernels()) {
+        for takes_four in [false, true] {
+            if takes_four && !gpu.has_four_sample_kernels() {
+                println!("LEFT OUT: kernels of four samples need subgroups of eight threads");
+                continue;
+            }
             let field = scene.field.clone();
             let trainer = gpu.open_variant(field, takes_four);
             let stages = trainer
