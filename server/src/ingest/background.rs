@@ -1,6 +1,6 @@
 //! The training set of a log's background.
 
-use std::collections::{HashMap, HashSet};
+use std::collections::HashMap;
 
 use backlot_engine::scene::{RecordedCamera, RecordedFrame, RecordedTrack, Recording};
 use backlot_engine::train::BackgroundInput;
@@ -8,19 +8,20 @@ use backlot_engine::view::{DepthReturn, DepthSource, PixelLabel, Split, TrainVie
 
 use super::background_labels::moving_tracks;
 use super::beams::Beams;
+use super::between::sweeps_between;
 use super::content::LogBlobs;
 use super::frame::{FrameError, FrameLoader, LoadedFrame};
 use super::held_out::split_frames;
+use super::lidar::place_sweep;
 use super::log_labels::LogLabels;
 use super::projected::ProjectedReturn;
 use super::raster::{area_average, merge_area};
+use super::seeds::Seeds;
 use super::tied_masks::TiedMask;
 use crate::domain::drive_log::{CameraFrame, DriveLog};
 
 /// Samples of a depth map that a view keeps: a few times a scanner's returns, so that a log of maps fits in memory.
 const MOST_MAP_SAMPLES: usize = 8_000;
-/// Points closer together than this seed the same voxels.
-const POINT_SPACING_M: f64 = 0.05;
 
 /// What one background is trained from, and how it was made.
 #[derive(Clone, Debug)]
@@ -57,8 +58,9 @@ pub fn background_set<B: LogBlobs>(
             .collect(),
         ..Default::default()
     };
-    let mut seeds = HashSet::new();
+    let mut seeds = Seeds::new(log, &splits);
     let mut beams = Beams::new(log, &splits);
+    let mut view_times_ns = Vec::new();
     for (done, &index) in order.iter().enumerate() {
         if !progress(done, order.len()) {
             return Ok(None);
@@ -68,13 +70,35 @@ pub fn background_set<B: LogBlobs>(
         let labels = labels.background(log, blobs, &moving, &loaded)?;
         let depths = static_depths(&loaded, &moving, &labels);
         if split == Split::Train {
-            add_seeds(log, &depths.seeds, &mut seeds, &mut input.lidar_points);
             let view = input.views.len() as u32;
-            beams.add(log, loader.sweeps(), view, &mut input.beams);
+            view_times_ns.push((loaded.frame.timestamp_ns, view));
+            let surfaces = depths.iter().map(|r| log.local_from_world.point(r.world_m));
+            surfaces.for_each(|p| seeds.add(p));
+            for (sweep, returns) in loader.sweeps() {
+                if beams.take(*sweep) {
+                    beams.add(log, returns, view, &mut input.beams);
+                    seeds.add_sweep(log, returns, &moving);
+                }
+            }
         }
-        let view = background_view(log, &loaded, &labels, &depths.returns, longer_side_px);
+        let view = background_view(log, &loaded, &labels, &depths, longer_side_px);
         input.views.push(TrainView { split, ..view });
     }
+    for index in sweeps_between(log, beams.done()) {
+        if !progress(order.len(), order.len()) {
+            return Ok(None);
+        }
+        let sweep = &log.sweeps[index];
+        let nearest = view_times_ns
+            .iter()
+            .min_by_key(|(time, _)| time.abs_diff(sweep.timestamp_ns));
+        let Some((_, view)) = nearest else { break };
+        let bytes = blobs.read(&sweep.points).map_err(FrameError::Blob)?;
+        let returns = place_sweep(log, sweep, &bytes);
+        beams.add(log, &returns, *view, &mut input.beams);
+        seeds.add_sweep(log, &returns, &moving);
+    }
+    input.lidar_points = seeds.points;
     let camera = &log.cameras[0].camera;
     Ok(Some(BackgroundSet {
         depth_warning: depth_warning(&input.views),
@@ -214,19 +238,12 @@ fn merged_label(a: PixelLabel, b: PixelLabel) -> PixelLabel {
     }
 }
 
-/// What a frame says about the depth of the static scene.
-struct StaticDepths<'a> {
-    /// Those that supervise its pixels.
-    returns: Vec<&'a ProjectedReturn>,
-    /// Those that say where surfaces are: LiDAR also on ground that is not learned from, such as a mover's shadow.
-    seeds: Vec<&'a ProjectedReturn>,
-}
-
+/// What supervises a frame's pixels of the static scene.
 fn static_depths<'a>(
     loaded: &'a LoadedFrame,
     moving: &[bool],
     labels: &[PixelLabel],
-) -> StaticDepths<'a> {
+) -> Vec<&'a ProjectedReturn> {
     let width = loaded.camera.width as usize;
     let is_scene = |r: &ProjectedReturn| {
         labels[r.pixel.y as usize * width + r.pixel.x as usize] == PixelLabel::Foreground
@@ -237,10 +254,7 @@ fn static_depths<'a>(
         .filter(|r| r.source == DepthSource::Map);
     let nth = of_maps.count().div_ceil(MOST_MAP_SAMPLES).max(1);
     let mut maps_seen = 0;
-    let mut depths = StaticDepths {
-        returns: Vec::new(),
-        seeds: Vec::new(),
-    };
+    let mut depths = Vec::new();
     for r in &loaded.returns {
         if r.source == DepthSource::Map {
             maps_seen += 1;
@@ -249,34 +263,11 @@ fn static_depths<'a>(
             }
         }
         let on_mover = r.owner.is_some_and(|owner| moving[owner.track]);
-        if on_mover || r.occluded {
-            continue;
-        }
-        let is_scene = is_scene(r);
-        if is_scene {
-            depths.returns.push(r);
-        }
-        // Only what was measured lies where it says and not on the mover beside it.
-        if is_scene || r.source == DepthSource::Lidar {
-            depths.seeds.push(r);
+        if !on_mover && !r.occluded && is_scene(r) {
+            depths.push(r);
         }
     }
     depths
-}
-
-fn add_seeds(
-    log: &DriveLog,
-    seeds: &[&ProjectedReturn],
-    seen: &mut HashSet<[i32; 3]>,
-    points: &mut Vec<[f32; 3]>,
-) {
-    for r in seeds {
-        let local_m = log.local_from_world.point(r.world_m);
-        let cell = (local_m / POINT_SPACING_M).floor().as_ivec3().to_array();
-        if seen.insert(cell) {
-            points.push(local_m.as_vec3().to_array());
-        }
-    }
 }
 
 /// What the report says about a background whose depth is not LiDAR's; `None` if LiDAR hit the static scene.

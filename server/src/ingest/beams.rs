@@ -12,9 +12,9 @@ use crate::domain::drive_log::DriveLog;
 /// Pulses of one background: 56 MB. Of more, every sweep gives an equal share.
 const MOST_BEAMS: usize = 2_000_000;
 /// Nearer returns are on the ego vehicle or within the sensor's blind zone.
-const NEAREST_M: f64 = 3.0;
+pub(super) const NEAREST_M: f64 = 3.0;
 
-/// Gathers the pulses of the sweeps of training frames, each sweep once.
+/// Gathers the pulses of sweeps, each sweep once.
 #[derive(Debug)]
 pub(crate) struct Beams {
     /// Taken already, or beside a held-out frame, whose depths must stay unseen.
@@ -35,27 +35,32 @@ impl Beams {
         }
     }
 
-    /// Adds the pulses of sweeps that were not added before, in the local frame.
-    pub(crate) fn add(
-        &mut self,
+    /// Whether a sweep may be read and was not before.
+    pub(super) fn take(&mut self, sweep: usize) -> bool {
+        self.done.insert(sweep)
+    }
+
+    /// Sweeps that were taken or must not be.
+    pub(super) fn done(&self) -> &HashSet<usize> {
+        &self.done
+    }
+
+    /// Adds a sweep's pulses in the local frame.
+    pub(super) fn add(
+        &self,
         log: &DriveLog,
-        sweeps: &[(usize, Vec<WorldReturn>)],
+        returns: &[WorldReturn],
         view: u32,
         out: &mut Vec<LidarBeam>,
     ) {
-        for (index, returns) in sweeps {
-            if !self.done.insert(*index) {
-                continue;
-            }
-            let every = returns.len().div_ceil(self.most_per_sweep.max(1)).max(1);
-            let spread = returns.iter().step_by(every);
-            let far = spread.filter(|r| r.world_m.distance(r.origin_m) >= NEAREST_M);
-            let local = |p| log.local_from_world.point(p).as_vec3().to_array();
-            out.extend(far.map(|r| LidarBeam {
-                origin_m: local(r.origin_m),
-                return_m: local(r.world_m),
-                view,
-            }));
-        }
+        let every = returns.len().div_ceil(self.most_per_sweep.max(1)).max(1);
+        let spread = returns.iter().step_by(every);
+        let far = spread.filter(|r| r.world_m.distance(r.origin_m) >= NEAREST_M);
+        let local = |p| log.local_from_world.point(p).as_vec3().to_array();
+        out.extend(far.map(|r| LidarBeam {
+            origin_m: local(r.origin_m),
+            return_m: local(r.world_m),
+            view,
+        }));
     }
 }

@@ -29,6 +29,9 @@ mod sky;
 mod segmented;
 
 mod beams;
+mod between;
+mod seeds;
+
 mod mask_consistency;
 mod mask_match;
 mod mask_overlap;
@@ -49,6 +52,8 @@ mod decompose;
 mod decomposition;
 mod log_labels;
 
+#[cfg(test)]
+mod between_tests;
 #[cfg(test)]
 mod decompose_tests;
 #[cfg(test)]
