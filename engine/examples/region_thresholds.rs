@@ -37,8 +37,15 @@ fn main() -> anyhow::Result<()> {
             cars.len() - before.1
         );
     }
-    ensure!(!road.is_empty(), "no driven road was found");
+    ensure!(
+        !road.is_empty() || !cars.is_empty(),
+        "neither driven road nor labelled cars were found"
+    );
     for (name, pillars) in [("road", &road), ("cars", &cars)] {
+        if pillars.is_empty() {
+            println!("{name}: none, so nothing is said of it");
+            continue;
+        }
         print_quantiles(name, "max", pillars.iter().map(|p| p.max).collect());
         print_quantiles(name, "mean", pillars.iter().map(|p| p.mean).collect());
     }
@@ -49,10 +56,14 @@ fn main() -> anyhow::Result<()> {
     ] {
         let dense = |p: &&Pillar| p.max >= config.max_sigma || p.mean >= config.mean_sigma;
         let share = |pillars: &[Pillar]| {
-            100.0 * pillars.iter().filter(dense).count() as f64 / pillars.len().max(1) as f64
+            let dense = pillars.iter().filter(dense).count();
+            match pillars.len() {
+                0 => "none".to_owned(),
+                all => format!("{:.1} %", 100.0 * dense as f64 / all as f64),
+            }
         };
         println!(
-            "{name}: max {} mean {}: {:.1} % of road refused, {:.1} % of cars found",
+            "{name}: max {} mean {}: of road {} refused, of cars {} found",
             config.max_sigma,
             config.mean_sigma,
             share(&road),

@@ -34,6 +34,8 @@ const WINDOW_M: f64 = 0.25;
 const MAX_HOLE_CELLS: u8 = 2;
 /// Search below a camera for the road: cameras of cars and trucks are 1 to 3 m high.
 const CAMERA_HEIGHT_M: (f64, f64) = (0.4, 4.0);
+/// A camera nods by so much on its way.
+const AGREEMENT_M: f64 = 0.2;
 /// Ahead of the last pose, the path's own height is trusted this far.
 const SEED_AHEAD_M: usize = 10;
 /// The road's plane is fitted to ground this near to the path: about its own lane.
@@ -88,18 +90,26 @@ pub(super) fn grow_ground(
     Some(found)
 }
 
-/// Median height of the cameras above the surface under the path: floaters before the lens are few.
+/// Height of the cameras above the surface under the path on which most places agree. Where no camera looked, as before the first
+/// frame's image begins or under the vehicle ahead, the field holds anything, and heights spread.
 fn camera_height(field: &dyn DensityField, path: &DrivenPath) -> Option<f64> {
     let last = (path.driven + SEED_AHEAD_M).min(path.points().len());
-    let mut heights: Vec<f64> = path.points()[..last]
-        .iter()
-        .filter_map(|p| {
-            let (top, bottom) = (p.z - CAMERA_HEIGHT_M.0, p.z - CAMERA_HEIGHT_M.1);
-            surface(field, p.truncate(), top, bottom).map(|z| p.z - z)
-        })
-        .collect();
-    heights.sort_by(f64::total_cmp);
-    (!heights.is_empty()).then(|| heights[heights.len() / 2])
+    let heights = path.points()[..last].iter().filter_map(|p| {
+        let (top, bottom) = (p.z - CAMERA_HEIGHT_M.0, p.z - CAMERA_HEIGHT_M.1);
+        surface(field, p.truncate(), top, bottom).map(|z| p.z - z)
+    });
+    most_agreed(heights.collect())
+}
+
+/// Median of the most values within [`AGREEMENT_M`] of each other, the lower ones of equally many.
+fn most_agreed(mut values: Vec<f64>) -> Option<f64> {
+    values.sort_by(f64::total_cmp);
+    let within = |first: usize| {
+        let limit = values[first] + AGREEMENT_M;
+        values.partition_point(|v| *v <= limit) - first
+    };
+    let first = (0..values.len()).max_by_key(|i| (within(*i), std::cmp::Reverse(*i)))?;
+    Some(values[first + within(first) / 2])
 }
 
 /// Marks the cells under the path whose surface is where the cameras' height says.
@@ -189,7 +199,7 @@ fn surface(field: &dyn DensityField, p: DVec2, top: f64, bottom: f64) -> Option<
 }
 
 /// Indices around a cell: four, or eight with `diagonal`.
-fn neighbours(
+pub(super) fn neighbours(
     region: &ValidRegion,
     cell: usize,
     diagonal: bool,
@@ -290,5 +300,29 @@ fn heal(path: &DrivenPath, config: &RegionConfig, region: &mut ValidRegion, foun
             region.ground_m[cell] = heights[heights.len() / 2];
             found[cell] = Found::Ground;
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_camera_height_is_that_on_which_most_places_agree() {
+        // As recorded under a car that stopped in a queue: nothing was seen under its start nor under the vehicle ahead.
+        let seen = [1.70, 1.62, 1.62, 1.65, 1.65, 1.65, 1.62, 1.62, 1.57];
+        let unseen = [
+            2.80, 2.50, 1.90, 2.00, 2.37, 2.35, 2.40, 2.42, 2.50, 2.35, 2.20, 2.17,
+        ];
+        let all: Vec<f64> = seen.iter().chain(&unseen).copied().collect();
+        assert_eq!(most_agreed(all.clone()), Some(1.62));
+        let mut sorted = all;
+        sorted.sort_by(f64::total_cmp);
+        assert!(
+            sorted[sorted.len() / 2] > 1.85,
+            "the median is off the road"
+        );
+        assert_eq!(most_agreed(vec![1.0, 2.0]), Some(1.0));
+        assert_eq!(most_agreed(Vec::new()), None);
     }
 }

@@ -11,6 +11,7 @@ mod recording;
 mod collision;
 mod coverage;
 mod density;
+mod driven;
 mod footprint;
 mod ground;
 mod path;
@@ -58,6 +59,7 @@ mod finish;
 mod hull;
 mod patches;
 mod recorded;
+mod rows;
 mod seen;
 mod silhouette;
 mod tone;
@@ -74,6 +76,8 @@ mod clip_tests;
 mod composition_tests;
 #[cfg(test)]
 mod corner_case_tests;
+#[cfg(test)]
+mod driven_tests;
 #[cfg(test)]
 mod finish_tests;
 #[cfg(test)]

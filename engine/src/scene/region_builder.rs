@@ -1,10 +1,11 @@
-//! Builds a background's valid region from its density field and recording: ground, then pillars above it, then what was seen.
+//! Builds a background's valid region from its density field and recording: ground, then pillars above it, then what was seen or driven over.
 
 use glam::{DVec2, DVec3};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::density::DensityField;
+use super::driven::driven_cells;
 use super::ground::{Found, grow_ground};
 use super::path::DrivenPath;
 use super::pillar::{Pillars, clear_cells};
@@ -106,9 +107,10 @@ impl ValidRegion {
             return Self::unseen(DVec2::ZERO, config.cell_m, 0, 0);
         };
         let mut region = grid(field, &path, config);
-        let Some(found) = grow_ground(field, &path, config, &mut region) else {
+        let Some(mut found) = grow_ground(field, &path, config, &mut region) else {
             return region;
         };
+        let driven = driven_cells(recording, &path, config, &mut region, &mut found);
         let clear = clear_cells(field, config, &region, &found);
         let cells = (0..found.len())
             .into_par_iter()
@@ -117,6 +119,7 @@ impl ValidRegion {
                 _ if !clear[cell] => Cell::Blocked,
                 Found::Step => Cell::Uneven,
                 Found::Hole(_) => Cell::Unseen,
+                Found::Ground if driven[cell] => Cell::Free,
                 Found::Ground if is_seen(field, recording, config, &region, cell) => Cell::Free,
                 Found::Ground => Cell::Unseen,
             })
