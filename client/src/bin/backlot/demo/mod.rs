@@ -3,6 +3,7 @@
 mod source;
 
 mod library;
+mod recipes;
 mod stages;
 
 mod exact;
@@ -34,9 +35,6 @@ use library::Library;
 use report::{Findings, Report};
 use source::Source;
 use stages::Stages;
-
-/// Probability that an original object of a recorded log is swapped: such logs have few free places.
-const REPLACE_PROBABILITY: f64 = 0.5;
 
 /// Time that calls and jobs get when the demo ends; none should be running.
 const SHUTDOWN_GRACE: Duration = Duration::from_secs(5);
@@ -168,7 +166,7 @@ async fn render_samples(
         eprintln!("warning: no object may be placed freely; the samples show the originals only");
     }
     let recorded = source.street.is_none();
-    let recipe = v1::Recipe {
+    let base = v1::Recipe {
         background: library.background.name.clone(),
         objects: placeable.iter().map(|asset| asset.name.clone()).collect(),
         sun_direction_world: options
@@ -176,20 +174,22 @@ async fn render_samples(
             .as_deref()
             .map(augment::sun_direction)
             .transpose()?,
-        replace_probability: if recorded { REPLACE_PROBABILITY } else { 0.0 },
         ..Default::default()
     };
-    let request = v1::StreamSamplesRequest {
-        recipe: Some(recipe),
-        seed: options.seed,
-        start_index: 0,
-        count: options.count,
-    };
     let mut files = SampleFiles::new(&options.out, &[LabelFormat::Kitti, LabelFormat::Json]);
-    let samples = augment::stream(connection, request, |sample| {
-        Ok(files.write(sample).map(|_| ())?)
-    })
-    .await?;
+    let mut samples: Vec<v1::Sample> = Vec::new();
+    for (recipe, count) in recipes::recipes(&base, library, recorded, options.count) {
+        let request = v1::StreamSamplesRequest {
+            recipe: Some(recipe),
+            seed: options.seed,
+            start_index: samples.len() as u64,
+            count,
+        };
+        let streamed = augment::stream(connection, request, |sample| {
+            Ok(files.write(sample).map(|_| ())?)
+        });
+        samples.extend(streamed.await?);
+    }
     let provenance = samples.first().and_then(|sample| sample.provenance.clone());
     files.write_index(&provenance.unwrap_or_default())?;
     Ok(samples)

@@ -173,7 +173,7 @@ fn placements(samples: &[v1::Sample]) -> Placements {
     for sample in samples {
         for (origin, count) in sample_boxes(sample) {
             *placements.boxes.entry(origin).or_default() += count;
-            if matches!(origin, "inserted" | "replaced") {
+            if matches!(origin, "inserted" | "replaced" | "moved") {
                 placements.accepted += count;
             }
         }

@@ -42,7 +42,7 @@ pub(crate) fn write(
         "recorded"
     };
     let title = format!(
-        "backlot demo, {} ({kind}): green inserted, orange replaced, blue replayed original, white static original",
+        "backlot demo, {} ({kind}): green inserted, orange replaced or moved, blue replayed original, white static original",
         log.dataset
     );
     contact_sheet(&title, &pairs).save(out.join("contact_sheet.png"))?;
