@@ -3,6 +3,9 @@
 use crate::kernel::{Access, Binding, Kernel, kernel_of};
 use crate::layout::{Block, Level, MarchParams, Ray, RaySample, RaySummary};
 
+pub use crate::grid::{
+    GRID_COLORS, GRID_INPUTS, GRID_LOSSES, MARCH_GRID, SCATTER_GRID, STEP_GRID, WAKE_BRICKS,
+};
 pub use crate::scene::{
     EYE_RAYS, MARCH_DENSITY_SPLIT, MERGE_SCENE, MERGE_SCENE_SPLIT, OBJECT_SAMPLES, SCENE_COLORS,
     SCENE_FEATURES, SCENE_NETWORK, SCENE_SKY, SCENE_SLOTS,
@@ -74,6 +77,13 @@ pub const ALL: &[Kernel] = &[
     SCENE_NETWORK,
     SCENE_COLORS,
     SCENE_SKY,
+    MARCH_GRID,
+    GRID_INPUTS,
+    GRID_COLORS,
+    GRID_LOSSES,
+    SCATTER_GRID,
+    WAKE_BRICKS,
+    STEP_GRID,
 ];
 
 pub(crate) const fn bind<T>(name: &'static str, access: Access) -> Binding {

@@ -1,7 +1,7 @@
 //! WGSL compute kernels of Backlot and what a host must know to run them. Knows no GPU API.
 //!
 //! `wgsl/` holds libraries (structs, constants and functions, and the bindings that some functions read) and one file per entry point.
-//! [`kernels`] lists the entry points with their bindings, [`layout`] and [`scene_layout`] mirror the structs. Both are compared with what
+//! [`kernels`] lists the entry points with their bindings, [`layout`], [`scene_layout`] and [`grid_layout`] mirror the structs. Both are compared with what
 //! naga reads from the WGSL, so neither can drift. The brick's size, workgroup sizes and what is a host's parameter (network width,
 //! optimiser constants, how densities are divided) are pipeline overrides; codes and thresholds that only kernels of one field use stand
 //! in the WGSL, next to the formula.
@@ -10,6 +10,8 @@ pub mod layout;
 
 pub mod scene_layout;
 
+pub mod grid_layout;
+
 mod kernel;
 
 pub mod kernels;
@@ -17,6 +19,8 @@ pub mod kernels;
 mod training;
 
 mod scene;
+
+mod grid;
 
 pub use kernel::{Access, Binding, Kernel};
 

@@ -255,6 +255,7 @@ pub const SCATTER_GRADIENTS: Kernel = Kernel {
         "types",
         "lattice",
         "training",
+        "add_gradients",
         "scatter_gradients"
     )
 };

@@ -9,14 +9,18 @@ use backlot_shaders::layout::{
     RayLoss, RaySample, RaySummary, RayTarget, SkyGrid, SlotSample, StepState, TrainParams, View,
 };
 
+use backlot_shaders::grid_layout::{
+    GridParams, GridPoint, GridSample, GridSlot, MaskBlock, PixelRay, RayLight,
+};
 use backlot_shaders::scene_layout::{
     EyeParams, ObjectBox, RayHit, RayPairs, RayRequest, SampleList, SceneParams, SlotRange,
     Weighted,
 };
 
 /// Structs that never leave a kernel, so they have no mirror.
-const INTERNAL: [&str; 12] = [
+const INTERNAL: [&str; 13] = [
     "ByExposure",
+    "Cell",
     "Corners",
     "Features",
     "Light",
@@ -176,6 +180,42 @@ fn mirrors() -> BTreeMap<String, Layout> {
             node_count,
             first_density
         }),
+        mirror!(GridParams {
+            nodes,
+            ray_count,
+            bricks,
+            first_ray,
+            low_m,
+            step_m,
+            high_m,
+            sample_capacity,
+            nodes_per_m,
+            act_shift,
+            backdrop,
+            interval,
+            raw_min,
+            weight_min,
+            ray_share,
+            entropy,
+            sample_color,
+            density_rate,
+            color_rate,
+            step,
+            is_masked,
+            has_shares,
+            first_brick,
+            brick_end
+        }),
+        mirror!(PixelRay { origin_m, near_m, direction, stop_tau, color } padded by padding),
+        mirror!(MaskBlock { bits, any }),
+        mirror!(GridSample { q, tau, slope, weight, slot } padded by padding),
+        mirror!(RayLight {
+            left,
+            sample_count,
+            first_point
+        }),
+        mirror!(GridSlot { ray, sample }),
+        mirror!(GridPoint { q, raw, slot } padded by padding),
     ])
 }
 

@@ -56,7 +56,9 @@ pub(crate) fn cancel(c: &mut Criterion<CpuTime>, gpu: &GpuBackend) {
     group.sample_size(10);
     let field = field(WIDTH);
     let rays = rays(RAYS);
-    let mut trainer = gpu.open_trainer(field.clone()).expect("the field fits");
+    let mut trainer = gpu
+        .open_trainer(field.clone(), &|| false)
+        .expect("the field fits");
     group.bench_function("training step", |b| {
         b.iter_custom(|steps| {
             let longest = (0..steps).map(|_| {

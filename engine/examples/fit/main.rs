@@ -5,6 +5,7 @@
 mod dataset;
 mod measure;
 
+use std::num::NonZeroUsize;
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::Mutex;
@@ -39,10 +40,13 @@ struct Arguments {
     /// Train for this many steps.
     #[arg(long)]
     iters: Option<u64>,
+    /// Rays of a step, in place of the preset's: few suit a small or a software device.
+    #[arg(long)]
+    rays: Option<NonZeroUsize>,
     /// Threads to train and render with; by default one per processor.
     #[arg(long, default_value_t = 0)]
     threads: usize,
-    /// Where preset fast trains: auto, cpu, gpu, gpu:NUMBER or gpu:NAME. Recipe dvgo trains on the processor.
+    /// Where to train: auto, cpu, gpu, gpu:NUMBER or gpu:NAME.
     #[arg(long, default_value_t = DeviceChoice::Auto)]
     device: DeviceChoice,
     #[arg(long, default_value_t = 0)]
@@ -129,17 +133,14 @@ fn train(arguments: &Arguments, views: Vec<TrainView>, watch: &Watch<'_>) -> Res
         backdrop: WHITE,
     };
     let seed = arguments.seed;
+    let backend = backend::open(&arguments.device, 0)?;
+    eprintln!("training on {}", backend.device());
     let trained = match arguments.preset {
         Preset::Fast => {
             let preset = fast(arguments, &input.views, (high_m - low_m).max_element());
-            let backend = backend::open(&arguments.device, 0)?;
-            eprintln!("training on {}", backend.device());
             train_bounded(&input, &preset, seed, backend.as_ref(), watch)?
         }
-        Preset::Dvgo => {
-            let recipe = arguments.iters.map(DvgoRecipe::scaled);
-            train_dvgo(&input, &recipe.unwrap_or_default(), seed, watch)?
-        }
+        Preset::Dvgo => train_dvgo(&input, &dvgo(arguments), seed, backend.as_ref(), watch)?,
     };
     Ok(trained)
 }
@@ -152,11 +153,23 @@ fn fast(arguments: &Arguments, views: &[TrainView], edge_m: f64) -> TrainPreset 
     if let Some(steps) = arguments.iters {
         preset.steps = steps;
     }
+    if let Some(rays) = arguments.rays {
+        preset.mix.pixel_rays = rays.get();
+    }
     if let Some(seconds) = arguments.budget_s {
         preset.seconds = seconds;
         preset.steps = u64::MAX;
     }
     preset
+}
+
+fn dvgo(arguments: &Arguments) -> DvgoRecipe {
+    let recipe = arguments.iters.map(DvgoRecipe::scaled);
+    let mut recipe = recipe.unwrap_or_default();
+    if let Some(rays) = arguments.rays {
+        (recipe.coarse.rays, recipe.fine.rays) = (rays.get(), rays.get());
+    }
+    recipe
 }
 
 /// Looks at the test views now and then, on a clock that stands still meanwhile.

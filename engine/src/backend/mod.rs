@@ -14,6 +14,8 @@ mod marched;
 
 mod trainer;
 
+mod grid_device;
+
 #[doc(hidden)]
 pub mod bench_scene;
 
@@ -30,7 +32,11 @@ mod test_scene;
 
 pub use adapter::{AdapterKind, AdapterRecord, adapters};
 pub use choice::{AdapterChoice, DeviceChoice, open};
+pub use grid_device::GridDevice;
+pub(crate) use grid_device::{GridArithmetic, GridOn};
 pub use marched::{Marched, RaySummary};
+#[cfg(feature = "gpu")]
+pub(crate) use trainer::is_reported;
 pub use trainer::{StepReport, Trainer};
 
 use std::fmt::Debug;
@@ -54,11 +60,17 @@ pub trait Backend: Send + Sync + Debug {
     /// [`crate::Error::OutOfMemory`] with needed and available bytes where it does not fit, [`crate::Error::Device`] if the device is lost.
     fn load(&self, field: &Arc<Field>) -> Result<Box<dyn LoadedField>>;
 
-    /// A trainer that takes its steps here.
+    /// A trainer that takes its steps here. `cancelled` is asked between pieces of what goes to a device.
     ///
     /// # Errors
-    /// [`crate::Error::OutOfMemory`] where the field with its optimiser state does not fit, or the device's.
-    fn trainer(&self, field: Field) -> Result<Trainer>;
+    /// [`crate::Error::OutOfMemory`] where the field with its optimiser state does not fit, [`crate::Error::Cancelled`], or the device's.
+    fn trainer(&self, field: Field, cancelled: &dyn Fn() -> bool) -> Result<Trainer>;
+
+    /// What takes the steps of [`crate::train::train_dvgo`] here.
+    ///
+    /// # Errors
+    /// [`crate::Error::Device`] if the device does not open.
+    fn grid_device(&self) -> Result<GridDevice>;
 
     /// Renders a scene in one volume pass. The result does not depend on the order of `scene.objects`.
     ///

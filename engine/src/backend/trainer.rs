@@ -112,15 +112,18 @@ impl Trainer {
         }
     }
 
-    /// Brings [`Self::field`] up to date. Costs nothing on the CPU.
+    /// Brings [`Self::field`] up to date. Costs nothing on the CPU; `cancelled` is asked between pieces of what comes from a GPU.
     ///
     /// # Errors
-    /// The device's.
-    pub fn fetch(&mut self) -> Result<()> {
+    /// [`Error::Cancelled`], or the device's.
+    pub fn fetch(&mut self, cancelled: &dyn Fn() -> bool) -> Result<()> {
         match &mut self.on {
-            On::Cpu(_) => Ok(()),
+            On::Cpu(_) => {
+                let _ = cancelled;
+                Ok(())
+            }
             #[cfg(feature = "gpu")]
-            On::Gpu(trainer) => Ok(trainer.fetch()?),
+            On::Gpu(trainer) => Ok(trainer.fetch(cancelled)?),
         }
     }
 
@@ -142,12 +145,12 @@ impl Trainer {
         }
     }
 
-    /// The trained field.
+    /// The trained field, as [`Self::fetch`] brings it.
     ///
     /// # Errors
-    /// [`Error::Diverged`], or the device's.
-    pub fn into_field(mut self) -> Result<Field> {
-        self.fetch()?;
+    /// [`Error::Diverged`], [`Error::Cancelled`], or the device's.
+    pub fn into_field(mut self, cancelled: &dyn Fn() -> bool) -> Result<Field> {
+        self.fetch(cancelled)?;
         match self.on {
             On::Cpu(trainer) => Ok(trainer.into_field()),
             #[cfg(feature = "gpu")]
@@ -161,7 +164,7 @@ impl Trainer {
 
 /// Steps after which a GPU is asked for its sums, which waits for it: the first few, as rays then change most, and some later ones.
 #[cfg(feature = "gpu")]
-fn is_reported(step: u64) -> bool {
+pub(crate) fn is_reported(step: u64) -> bool {
     const EVERY: u64 = 16;
     (step + 1).is_power_of_two() || (step + 1).is_multiple_of(EVERY)
 }

@@ -35,7 +35,8 @@ pub(super) fn fit(
     backend: &dyn Backend,
     control: &dyn TrainControl,
 ) -> Result<(Field, Run)> {
-    let mut trainer = backend.trainer(field)?;
+    let cancelled = || control.cancelled();
+    let mut trainer = backend.trainer(field, &cancelled)?;
     let mut run = Run::default();
     let mut rays: Vec<TrainRay> = Vec::new();
     let mut losses = preset.losses;
@@ -46,7 +47,7 @@ pub(super) fn fit(
     let steps = step_count(preset, sampler.pixel_count());
     run.steps = steps;
     for step in 0..steps {
-        if control.cancelled() {
+        if cancelled() {
             return Err(Error::Cancelled);
         }
         let seconds = control.seconds() - start_s;
@@ -61,7 +62,8 @@ pub(super) fn fit(
         }
         if preset.surveys.due(step, done) > surveyed {
             surveyed += 1;
-            run.warnings.extend(refine(&mut trainer, preset, urgency)?);
+            run.warnings
+                .extend(refine(&mut trainer, preset, urgency, &cancelled)?);
         }
         let mix = RayMix {
             pixel_rays,
@@ -75,7 +77,7 @@ pub(super) fn fit(
         sampler.draw(step, &mix, &mut rays);
         let passes = run.rays as f64 / sampler.pixel_count() as f64;
         let rates = rates_at(preset, done, passes);
-        let report = trainer.step(&rays, &losses, rates, &|| control.cancelled())?;
+        let report = trainer.step(&rays, &losses, rates, &cancelled)?;
         run.rays += rays.len() as u64;
         if let Some(report) = report {
             if report.color_rays > 0 {
@@ -92,15 +94,15 @@ pub(super) fn fit(
         };
         control.progress(progress);
         if control.looks(progress) {
-            trainer.fetch()?;
+            trainer.fetch(&cancelled)?;
             control.inspect(progress, trainer.field());
         }
     }
     run.warnings
-        .extend(refine(&mut trainer, preset, &|_, _| None)?);
+        .extend(refine(&mut trainer, preset, &|_, _| None, &cancelled)?);
     run.seconds = control.seconds() - start_s;
     run.psnr_train = error.map(psnr_db);
-    let field = trainer.into_field()?;
+    let field = trainer.into_field(&cancelled)?;
     if let Some(quantity) = not_finite(&field) {
         return Err(Error::Diverged {
             step: steps,

@@ -24,13 +24,14 @@ pub(super) type Urgency<'a> = &'a (dyn Fn(Vec3, usize) -> Option<f32> + Sync);
 /// Returns a warning if the memory bound kept bricks from being stored.
 ///
 /// # Errors
-/// The device's.
+/// [`crate::Error::Cancelled`], or the device's.
 pub(super) fn refine(
     trainer: &mut Trainer,
     preset: &TrainPreset,
     urgency: Urgency<'_>,
+    cancelled: &dyn Fn() -> bool,
 ) -> Result<Option<String>> {
-    trainer.fetch()?;
+    trainer.fetch(cancelled)?;
     let field = trainer.field();
     let old = &field.occupancy;
     let dense = survey(field, preset.step_voxels, |centre, voxel_m| {

@@ -182,7 +182,7 @@ fn bad_bounded_input_is_refused_by_frame_and_field() {
             &CpuBackend,
             &NoControl,
         );
-        let recipe = train_dvgo(&input, &DvgoRecipe::scaled(1), 1, &NoControl);
+        let recipe = train_dvgo(&input, &DvgoRecipe::scaled(1), 1, &CpuBackend, &NoControl);
         for trained in [fast, recipe] {
             let error = trained.map(|t| t.quality).unwrap_err();
             assert!(matches!(error, Error::Invalid { .. }), "{error}");

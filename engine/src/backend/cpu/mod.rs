@@ -34,7 +34,7 @@ pub use view_corrections::{PoseCorrection, ViewCorrection};
 
 use std::sync::Arc;
 
-use super::{Backend, LoadedField, Trainer};
+use super::{Backend, GridDevice, LoadedField, Trainer};
 use crate::Result;
 use crate::field::Field;
 use crate::scene::{self, RenderOptions, RenderedFrame, Scene};
@@ -60,8 +60,12 @@ impl Backend for CpuBackend {
         Ok(Box::new(march::CpuField::new(Arc::clone(field))))
     }
 
-    fn trainer(&self, field: Field) -> Result<Trainer> {
+    fn trainer(&self, field: Field, _: &dyn Fn() -> bool) -> Result<Trainer> {
         Ok(Trainer::on_cpu(CpuTrainer::fastest(field)))
+    }
+
+    fn grid_device(&self) -> Result<GridDevice> {
+        Ok(GridDevice::cpu())
     }
 
     fn render(

@@ -3,7 +3,7 @@
 use std::sync::{Arc, Mutex, PoisonError};
 
 use super::GpuBackend;
-use crate::backend::{AdapterChoice, Backend, LoadedField, Trainer};
+use crate::backend::{AdapterChoice, Backend, GridDevice, LoadedField, Trainer};
 use crate::field::Field;
 use crate::scene::{RenderOptions, RenderedFrame, Scene};
 use crate::{Error, Result};
@@ -69,8 +69,12 @@ impl Backend for DurableGpu {
         self.retried(|gpu| gpu.load(field))
     }
 
-    fn trainer(&self, field: Field) -> Result<Trainer> {
-        self.current()?.trainer(field)
+    fn trainer(&self, field: Field, cancelled: &dyn Fn() -> bool) -> Result<Trainer> {
+        self.current()?.trainer(field, cancelled)
+    }
+
+    fn grid_device(&self) -> Result<GridDevice> {
+        self.current()?.grid_device()
     }
 
     fn render(

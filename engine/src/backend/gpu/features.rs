@@ -2,7 +2,7 @@
 
 use super::error::Error;
 use super::parts::Parts;
-use super::upload::{NODES_PER_COPY, Upload};
+use super::transfer::{NODES_PER_COPY, Transfer};
 use crate::field::{BRICK_NODES, FEATURES, Lattice};
 
 pub(super) type Quad = [f32; 4];
@@ -18,9 +18,9 @@ const LABELS: [&str; QUADS] = ["features 0 to 3", "features 4 to 7", "features 8
 /// All features of all levels, levels one after the other with one null brick before them, as the bricks are numbered.
 ///
 /// # Errors
-/// [`Error::TooLarge`] or [`Error::OutOfMemory`] where they do not fit, and those of [`Upload::go_on`].
+/// [`Error::TooLarge`] or [`Error::OutOfMemory`] where they do not fit, and those of [`Transfer::go_on`].
 pub(super) fn upload(
-    upload: Upload<'_>,
+    upload: Transfer<'_>,
     levels: &[Lattice],
 ) -> Result<[Parts<Quad>; QUADS], Error> {
     Ok([
@@ -30,7 +30,7 @@ pub(super) fn upload(
     ])
 }
 
-fn quad(upload: Upload<'_>, levels: &[Lattice], number: usize) -> Result<Parts<Quad>, Error> {
+fn quad(upload: Transfer<'_>, levels: &[Lattice], number: usize) -> Result<Parts<Quad>, Error> {
     let device = upload.device;
     let quads = Parts::zeroed(device, LABELS[number], node_count(levels), MOST_PARTS)?;
     let mut at = BRICK_NODES;

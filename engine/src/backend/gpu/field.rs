@@ -11,7 +11,7 @@ use super::error::Error;
 use super::features::node_count;
 use super::parts::Parts;
 use super::pipeline::Pipeline;
-use super::upload::{NODES_PER_COPY, Upload};
+use super::transfer::{NODES_PER_COPY, Transfer};
 use crate::field::march::{FACE_NUDGE, SIGMA_MIN};
 use crate::field::{BRICK_NODES, Field, Lattice, NULL_BRICK, Occupancy};
 
@@ -37,8 +37,8 @@ pub(super) struct ResidentField {
 
 impl ResidentField {
     /// # Errors
-    /// [`Error::TooLarge`] or [`Error::OutOfMemory`] where it does not fit, and those of [`Upload::go_on`].
-    pub(super) fn upload(upload: Upload<'_>, field: &Field) -> Result<Self, Error> {
+    /// [`Error::TooLarge`] or [`Error::OutOfMemory`] where it does not fit, and those of [`Transfer::go_on`].
+    pub(super) fn upload(upload: Transfer<'_>, field: &Field) -> Result<Self, Error> {
         let device = upload.device;
         let pyramid = index(field.levels());
         let occupancy = field.occupancy();
@@ -97,7 +97,7 @@ impl ResidentField {
 }
 
 /// Densities of all levels, one after the other after one null brick.
-fn density(upload: Upload<'_>, levels: &[Lattice]) -> Result<Parts<f32>, Error> {
+fn density(upload: Transfer<'_>, levels: &[Lattice]) -> Result<Parts<f32>, Error> {
     let parts = backlot_shaders::DENSITY_PARTS;
     let density = Parts::zeroed(upload.device, "density", node_count(levels), parts)?;
     let mut at = BRICK_NODES;

@@ -16,7 +16,7 @@ mod parts;
 
 mod pace;
 
-mod upload;
+mod transfer;
 
 mod field;
 
@@ -24,9 +24,15 @@ mod features;
 
 mod march;
 
+mod network;
+
+mod submissions;
+
 mod durable;
 
 mod train;
+
+mod grid;
 
 mod residency;
 
@@ -40,17 +46,20 @@ mod parity_tests;
 pub use device::adapters;
 pub use durable::DurableGpu;
 pub use error::Error;
+pub(crate) use grid::GpuGrid;
 pub use kernel_times::KernelTimes;
 pub use train::{GpuSums, GpuTrainer};
 
 use std::sync::Arc;
 
 use device::Device;
+use submissions::free_groups;
 
-use super::{AdapterChoice, Backend, LoadedField, Trainer};
+use super::{AdapterChoice, Backend, GridDevice, LoadedField, Trainer};
 use crate::Result;
 use crate::field::Field;
 use crate::scene::{RenderOptions, RenderedFrame, Scene};
+use crate::train::dvgo::Stage;
 
 /// An open GPU with its compiled kernels.
 #[derive(Clone, Debug)]
@@ -78,12 +87,28 @@ impl GpuBackend {
         self.device.is_lost()
     }
 
-    /// A trainer of `field` on this device.
+    /// A trainer of `field` on this device. `cancelled` is asked between pieces of the upload.
     ///
     /// # Errors
-    /// [`Error::TooLarge`] or [`Error::OutOfMemory`] where it does not fit, and [`Error::Lost`].
-    pub fn open_trainer(&self, field: Field) -> Result<GpuTrainer, Error> {
-        GpuTrainer::new(self.device.clone(), field)
+    /// [`Error::TooLarge`] or [`Error::OutOfMemory`] where it does not fit, [`Error::Cancelled`] and [`Error::Lost`].
+    pub fn open_trainer(
+        &self,
+        field: Field,
+        cancelled: &dyn Fn() -> bool,
+    ) -> Result<GpuTrainer, Error> {
+        GpuTrainer::new(self.device.clone(), field, cancelled)
+    }
+
+    /// A dense grid's stage on this device, for a fresh optimiser. `cancelled` is asked between pieces of the upload.
+    ///
+    /// # Errors
+    /// As [`Self::open_trainer`].
+    pub(crate) fn open_grid<const C: usize>(
+        &self,
+        stage: &Stage<C>,
+        cancelled: &dyn Fn() -> bool,
+    ) -> Result<GpuGrid, Error> {
+        GpuGrid::open(self.device.clone(), stage, cancelled)
     }
 
     /// Bytes of the assets that stay on the device.
@@ -97,7 +122,7 @@ impl GpuBackend {
     /// As [`Self::open_trainer`].
     #[doc(hidden)]
     pub fn open_variant(&self, field: Field, takes_four: bool) -> Result<GpuTrainer, Error> {
-        GpuTrainer::with_variant(self.device.clone(), field, takes_four)
+        GpuTrainer::with_variant(self.device.clone(), field, takes_four, &|| false)
     }
 
     /// Whether the device runs the kernels that take four samples a thread.
@@ -122,7 +147,7 @@ impl Backend for GpuBackend {
     }
 
     fn load(&self, field: &Arc<Field>) -> Result<Box<dyn LoadedField>> {
-        let upload = upload::Upload::of_all(&self.device);
+        let upload = transfer::Transfer::of_all(&self.device);
         let resident = field::ResidentField::upload(upload, field)?;
         Ok(Box::new(march::GpuField::new(
             self.device.clone(),
@@ -130,8 +155,12 @@ impl Backend for GpuBackend {
         )?))
     }
 
-    fn trainer(&self, field: Field) -> Result<Trainer> {
-        Ok(Trainer::on_gpu(self.open_trainer(field)?))
+    fn trainer(&self, field: Field, cancelled: &dyn Fn() -> bool) -> Result<Trainer> {
+        Ok(Trainer::on_gpu(self.open_trainer(field, cancelled)?))
+    }
+
+    fn grid_device(&self) -> Result<GridDevice> {
+        Ok(GridDevice::gpu(self.clone()))
     }
 
     fn render(

@@ -23,7 +23,7 @@ const LAST_CORNER: usize = 73;
 const AHEAD: usize = 8;
 /// Where every value moves at every step, one without gradient for this many steps rests: its update, at most
 /// (0.9 / sqrt 0.99)^200 = 5e-9 of the rate, is below the rounding of the values. Its moments go on decaying.
-const LIVELY_STEPS: u32 = 200;
+pub(crate) const LIVELY_STEPS: u32 = 200;
 
 /// Moments of a grid's densities and colour values.
 #[derive(Clone, Debug)]
@@ -160,7 +160,7 @@ fn bricks_of<'a, T: Send>(
 }
 
 /// sqrt(1 - b2^t) / (1 - b1^t).
-fn bias_correction(step: u32) -> f64 {
+pub(crate) fn bias_correction(step: u32) -> f64 {
     let step = step as i32;
     (1.0 - f64::from(BETA2).powi(step)).sqrt() / (1.0 - f64::from(BETA1).powi(step))
 }

@@ -1,5 +1,8 @@
 //! Forward and backward of a chunk of rays, in blocks whose activations stay in the second-level cache.
 
+#[cfg(all(test, feature = "gpu"))]
+pub(crate) mod record;
+
 use glam::{UVec3, Vec3};
 
 use super::grid::Shape;

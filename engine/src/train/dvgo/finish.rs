@@ -14,12 +14,12 @@ pub(super) fn field_of(stage: &Stage<FEATURES>) -> Field {
     let shape = &stage.shape;
     let (low, high) = (shape.low.as_vec3(), shape.high.as_vec3());
     let voxel_m = shape.spacing_m().x as f32;
-    let network = stage.network.as_ref().expect("the fine stage has one");
+    let mlp = stage.mlp.clone().expect("the fine stage has one");
     Field {
         bounds_m: (low, high),
         levels: vec![level_of(stage, voxel_m, low)],
         activation: stage.activation,
-        mlp: network.mlp.clone(),
+        mlp,
         sky: None,
         occupancy: occupancy_of(stage, voxel_m, low),
         step_growth: 0.0,

@@ -13,13 +13,13 @@ const SIDE: u32 = BRICK_SIDE as u32;
 
 /// Size and place of a grid.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Shape {
+pub(crate) struct Shape {
     /// Nodes per axis, at least 2.
-    pub(super) nodes: UVec3,
-    pub(super) low: DVec3,
-    pub(super) high: DVec3,
+    pub(crate) nodes: UVec3,
+    pub(crate) low: DVec3,
+    pub(crate) high: DVec3,
     /// Bricks per axis.
-    pub(super) bricks: UVec3,
+    pub(crate) bricks: UVec3,
 }
 
 /// The eight nodes around a point, per axis, and where between them it lies.
@@ -43,16 +43,16 @@ impl Shape {
     }
 
     /// Stored values, those beyond the last nodes included.
-    pub(super) fn len(&self) -> usize {
+    pub(crate) fn len(&self) -> usize {
         self.brick_count() * BRICK_NODES
     }
 
-    pub(super) fn brick_count(&self) -> usize {
+    pub(crate) fn brick_count(&self) -> usize {
         self.bricks.element_product() as usize
     }
 
     /// Distance between nodes in metres.
-    pub(super) fn spacing_m(&self) -> DVec3 {
+    pub(crate) fn spacing_m(&self) -> DVec3 {
         (self.high - self.low) / (self.nodes - 1).as_dvec3()
     }
 

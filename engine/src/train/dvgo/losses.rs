@@ -7,13 +7,13 @@ use crate::volume;
 
 /// What the losses of a step need besides a ray.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct LossSetting {
+pub(crate) struct LossSetting {
     /// One over the rays of a step.
-    pub(super) ray_share: f32,
-    pub(super) entropy: f32,
-    pub(super) sample_color: f32,
+    pub(crate) ray_share: f32,
+    pub(crate) entropy: f32,
+    pub(crate) sample_color: f32,
     /// sRGB behind the scene.
-    pub(super) backdrop: [f32; 3],
+    pub(crate) backdrop: [f32; 3],
 }
 
 impl LossSetting {

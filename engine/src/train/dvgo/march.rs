@@ -8,7 +8,7 @@ use crate::field::Ray;
 use crate::field::activation::{sigmoid, softplus};
 
 /// A ray ends behind the sample that leaves less than 1e-3 of its light: -ln 1e-3.
-const STOP_TAU: f32 = 6.907_755;
+pub(crate) const STOP_TAU: f32 = 6.907_755;
 /// Samples whose densities are asked for together.
 const AHEAD: usize = 16;
 /// Taken off a distance to a block's face, in steps, so that rounding never skips a sample.
@@ -27,17 +27,17 @@ pub(super) struct Sample {
 
 /// The density as rays see it.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Medium<'a> {
-    pub(super) shape: &'a Shape,
-    pub(super) density: &'a [f32],
-    pub(super) mask: &'a NodeMask,
+pub(crate) struct Medium<'a> {
+    pub(crate) shape: &'a Shape,
+    pub(crate) density: &'a [f32],
+    pub(crate) mask: &'a NodeMask,
     /// Added to raw densities before the softplus.
-    pub(super) shift: f32,
+    pub(crate) shift: f32,
     /// Length of a step in base voxels.
-    pub(super) interval: f32,
+    pub(crate) interval: f32,
     /// Raw densities up to here are too thin to matter.
-    pub(super) raw_min: f32,
-    pub(super) step_m: f32,
+    pub(crate) raw_min: f32,
+    pub(crate) step_m: f32,
 }
 
 /// Where a ray's samples lie, in node coordinates.

@@ -8,7 +8,7 @@ use crate::field::BRICK_SIDE;
 
 /// The bits of a grid, in blocks of 8^3 nodes that fall together with its bricks.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) struct NodeMask {
+pub(crate) struct NodeMask {
     nodes: UVec3,
     blocks: UVec3,
     /// Word z, bit `y * 8 + x`.
@@ -87,6 +87,14 @@ impl NodeMask {
         let inside = q.cmpge(Vec3::splat(-0.5)).all();
         let node = nearest(q);
         inside && node.cmplt(self.nodes).all() && self.bit(node) == Bit::Set
+    }
+
+    /// Every block's bits, as 16 words of which bit `(z * 8 + y) * 8 + x` is that of its node (x, y, z), in the grid's order of bricks.
+    #[cfg(feature = "gpu")]
+    pub(crate) fn blocks(&self) -> impl Iterator<Item = [u32; 16]> {
+        self.words
+            .iter()
+            .map(|layers| std::array::from_fn(|i| (layers[i / 2] >> (32 * (i % 2))) as u32))
     }
 
     #[inline(always)]

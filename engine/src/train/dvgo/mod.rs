@@ -5,12 +5,14 @@
 //! [`DvgoRecipe`]; the sources are Sun et al., "Direct Voxel Grid Optimization" (CVPR 2022) and its authors' public release.
 //! The result is an ordinary [`crate::field::Field`] with one fully stored level.
 //!
-//! A step goes: [`pixels`] draws rays, [`march`] finds the samples that matter, [`chunk`] colours and composites them and turns the
+//! Steps run on the processor or on a GPU ([`steps`]); what is rare (renewing the mask, rescaling, handing over) is done on the host. On the
+//! processor a step goes: [`pixels`] draws rays, [`march`] finds the samples that matter, [`chunk`] colours and composites them and turns the
 //! losses around, [`bins`] sorts the samples by brick, and [`adam`] sums and applies every brick's gradients by one owner.
 
 mod adam;
 mod bins;
 mod chunk;
+mod cpu_steps;
 mod finish;
 mod framing;
 mod grid;
@@ -24,8 +26,9 @@ mod recipe;
 mod resample;
 mod run;
 mod stage;
+mod steps;
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;
 mod view_count;
 
 pub use framing::frustum_box;
@@ -33,3 +36,14 @@ pub use framing::frustum_box;
 pub use kernels::GridKernels;
 pub use recipe::{DvgoRecipe, GridRecipe, StepRecipe};
 pub use run::train_dvgo;
+#[cfg(all(test, feature = "gpu"))]
+pub(crate) use {chunk::record, steps::Steps};
+
+#[cfg(feature = "gpu")]
+pub(crate) use {
+    adam::{LIVELY_STEPS, bias_correction},
+    march::STOP_TAU,
+    mask::NodeMask,
+    pixels::PixelRay,
+    stage::Stage,
+};

@@ -10,12 +10,12 @@ use crate::view::{PixelLabel, Split, TrainView};
 
 /// A training ray.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct PixelRay {
-    pub(super) ray: Ray,
+pub(crate) struct PixelRay {
+    pub(crate) ray: Ray,
     /// Where sampling may begin, in metres along the ray.
-    pub(super) near_m: f32,
+    pub(crate) near_m: f32,
     /// sRGB.
-    pub(super) color: [f32; 3],
+    pub(crate) color: [f32; 3],
 }
 
 /// The training images.

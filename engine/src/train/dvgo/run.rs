@@ -9,8 +9,10 @@ use super::mask::NodeMask;
 use super::network::initial_network;
 use super::pixels::{Choice, PixelRay, Pixels};
 use super::recipe::{DvgoRecipe, StepRecipe};
-use super::stage::{Network, Stage, resolution};
+use super::stage::{Stage, resolution};
+use super::steps::Steps;
 use super::view_count::count_views;
+use crate::backend::{Backend, GridDevice};
 use crate::field::Field;
 use crate::field::lattice::FEATURES;
 use crate::quality::psnr_db;
@@ -30,18 +32,19 @@ const ERROR_MOMENTUM: f64 = 0.05;
 /// The field is shown to the caller this often in the fine stage: making it copies the grid.
 const LOOKS: u64 = 4;
 
-/// Trains a field by DVGO's recipe on the views whose split is `Train`, and measures it on the held-out ones.
+/// Trains a field by DVGO's recipe on the views whose split is `Train`, on a backend's device, and measures it on the held-out ones.
 ///
 /// `input`'s box is the coarse stage's; [`super::frustum_box`] is the recipe's. Time plays no part: a run is a function of input,
 /// recipe and seed. [`TrainControl::inspect`] is called at quarters of the fine stage.
 ///
 /// # Errors
-/// [`Error::Invalid`] naming frame and field before any step, or if the coarse stage finds nothing; [`Error::Diverged`] and
-/// [`Error::Cancelled`].
+/// [`Error::Invalid`] naming frame and field before any step, or if the coarse stage finds nothing; [`Error::OutOfMemory`] where a grid
+/// does not fit on the device, [`Error::Diverged`], [`Error::Cancelled`], or the device's.
 pub fn train_dvgo(
     input: &BoundedInput,
     recipe: &DvgoRecipe,
     seed: u64,
+    backend: &dyn Backend,
     control: &dyn TrainControl,
 ) -> Result<Trained> {
     validate_bounded(input)?;
@@ -51,6 +54,7 @@ pub fn train_dvgo(
         recipe,
         seed,
         backdrop: input.backdrop,
+        device: backend.grid_device()?,
         control,
         run: Run::default(),
         steps_before: 0,
@@ -71,12 +75,29 @@ pub fn train_dvgo(
     ))
 }
 
+/// How a stage is trained.
+struct Plan<const C: usize> {
+    recipe: StepRecipe,
+    choice: Choice,
+    rescales: Vec<Rescale>,
+    /// Makes the field that is shown at quarters of the stage, once it has its last scale.
+    shown: Option<fn(&Stage<C>) -> Field>,
+}
+
+/// Another resolution from a step on, counted from 1.
+struct Rescale {
+    step: u64,
+    nodes: UVec3,
+    voxel_m: f64,
+}
+
 /// What both stages share.
 struct Session<'a> {
     pixels: Pixels<'a>,
     recipe: &'a DvgoRecipe,
     seed: u64,
     backdrop: [f32; 3],
+    device: GridDevice,
     control: &'a dyn TrainControl,
     run: Run,
     steps_before: u64,
@@ -97,11 +118,17 @@ impl Session<'_> {
         let counts = count_views(&self.pixels, &stage.medium());
         let most = counts.iter().copied().max().unwrap_or(0).max(1);
         let shares = counts.iter().map(|c| f32::from(*c) / f32::from(most));
-        stage.set_density_shares(shares.collect());
+        stage.density_shares = shares.collect();
         let unseen = recipe.unseen_views;
         let seen = NodeMask::new(&shape, |node| u32::from(counts[shape.at(node)]) > unseen);
         stage.mask = seen;
-        self.train(&mut stage, &recipe.coarse, &Choice::Random, |_, _, _| {})?;
+        let plan = Plan {
+            recipe: recipe.coarse,
+            choice: Choice::Random,
+            rescales: Vec::new(),
+            shown: None,
+        };
+        self.train(&mut stage, &plan)?;
         Ok(stage)
     }
 
@@ -133,77 +160,108 @@ impl Session<'_> {
         let mask = coarse_mask(&coarse, &shape, f64::from(recipe.mask_alpha));
         drop(coarse);
         let mut draws = Draws::new(self.seed, u64::MAX, 0);
-        let network = Network::new(initial_network(recipe.mlp_width, || draws.unit()));
+        let mlp = initial_network(recipe.mlp_width, || draws.unit());
         let parts = (recipe.fine_grid, recipe.fine);
         let sizes = (voxel_m, base_voxel_m);
-        let mut stage =
-            Stage::<FEATURES>::new(parts, shape, sizes, mask, Some(network), self.backdrop);
+        let mut stage = Stage::<FEATURES>::new(parts, shape, sizes, mask, Some(mlp), self.backdrop);
         let pixels = self.pixels.in_mask(&stage.medium());
         if pixels.is_empty() {
             return Err(Error::invalid(
                 "scene: no training ray meets what the coarse stage found",
             ));
         }
-        let choice = Choice::Shuffled(pixels);
-        let mut scaled = 0;
-        self.train(&mut stage, &recipe.fine, &choice, |session, stage, step| {
-            let due = recipe.scale_steps.get(scaled as usize) == Some(&step);
-            if due {
-                scaled += 1;
-                let (voxel_m, nodes) = resolution(tight, voxels(scaled));
-                stage.rescale(nodes, voxel_m, recipe.shift_per_scale);
+        let rescales = recipe.scale_steps.iter().zip(1..).map(|(step, done)| {
+            let (voxel_m, nodes) = resolution(tight, voxels(done));
+            Rescale {
+                step: *step,
+                nodes,
+                voxel_m,
             }
-            let quarter = (recipe.fine.steps / LOOKS).max(1);
-            if scaled == scales && step > 1 && (step - 1) % quarter == 0 {
-                session.show(&field_of(stage), step - 1);
-            }
-        })?;
+        });
+        let plan = Plan {
+            recipe: recipe.fine,
+            choice: Choice::Shuffled(pixels),
+            rescales: rescales.collect(),
+            shown: Some(field_of),
+        };
+        self.train(&mut stage, &plan)?;
         let field = field_of(&stage);
-        self.show(&field, recipe.fine.steps);
+        let progress = self.at_fine_step(recipe.fine.steps);
+        if self.control.looks(progress) {
+            self.control.inspect(progress, &field);
+        }
         Ok(field)
     }
 
-    /// All steps of a stage; `before` is called before each, with its number from 1 on.
-    fn train<const C: usize>(
-        &mut self,
-        stage: &mut Stage<C>,
-        recipe: &StepRecipe,
-        choice: &Choice,
-        mut before: impl FnMut(&mut Self, &mut Stage<C>, u64),
-    ) -> Result<()> {
+    /// All steps of a stage.
+    fn train<const C: usize>(&mut self, stage: &mut Stage<C>, plan: &Plan<C>) -> Result<()> {
+        let recipe = plan.recipe;
+        let control = self.control;
+        let cancelled = || control.cancelled();
+        let mut steps = Steps::open(&self.device, stage, &cancelled)?;
         let mut rays: Vec<PixelRay> = Vec::new();
         let mut mean: Option<f64> = None;
+        let mut scaled = 0;
         for step in 1..=recipe.steps {
-            if self.control.cancelled() {
+            if cancelled() {
                 return Err(Error::Cancelled);
             }
             if (step + recipe.mask_period / 2).is_multiple_of(recipe.mask_period) {
-                stage.renew_mask();
+                steps.renew_mask(stage, &cancelled)?;
             }
-            before(self, stage, step);
+            if let Some(rescale) = plan.rescales.get(scaled).filter(|r| r.step == step) {
+                scaled += 1;
+                steps.fetch(stage, &cancelled)?;
+                // Dropped first, so that both need not fit on a device.
+                drop(steps);
+                let shift_by = self.recipe.shift_per_scale;
+                stage.rescale(rescale.nodes, rescale.voxel_m, shift_by);
+                steps = Steps::open(&self.device, stage, &cancelled)?;
+            }
+            if scaled == plan.rescales.len() {
+                self.show(stage, &steps, plan, step)?;
+            }
             // Stages draw from different sequences.
             let number = self.steps_before + step - 1;
-            let key = match choice {
+            let key = match plan.choice {
                 Choice::Random => (self.seed, number),
                 Choice::Shuffled(_) => (self.seed, step - 1),
             };
-            self.pixels.draw(choice, key, recipe.rays, &mut rays);
-            let error = stage.step(&rays);
-            if !error.loss.is_finite() {
-                let quantity = "loss";
-                return Err(Error::Diverged {
-                    step: number,
-                    quantity,
-                });
+            self.pixels.draw(&plan.choice, key, recipe.rays, &mut rays);
+            if let Some(error) = steps.step(stage, &rays, number, &cancelled)? {
+                let now = error.squared_error;
+                mean = Some(mean.map_or(now, |mean| mean + ERROR_MOMENTUM * (now - mean)));
             }
-            let now = error.squared_error;
-            mean = Some(mean.map_or(now, |mean| mean + ERROR_MOMENTUM * (now - mean)));
             self.run.psnr_train = mean.map(psnr_db);
             self.run.rays += rays.len() as u64;
             self.run.steps = number + 1;
             self.report(Phase::Train, number + 1);
         }
+        steps.fetch(stage, &cancelled)
+    }
+
+    /// Shows the field before a step at a quarter of the stage.
+    fn show<const C: usize>(
+        &self,
+        stage: &mut Stage<C>,
+        steps: &Steps<C>,
+        plan: &Plan<C>,
+        step: u64,
+    ) -> Result<()> {
+        let Some(shown) = plan.shown else {
+            return Ok(());
+        };
+        let quarter = (plan.recipe.steps / LOOKS).max(1);
+        let progress = self.at_fine_step(step - 1);
+        if step > 1 && (step - 1).is_multiple_of(quarter) && self.control.looks(progress) {
+            steps.fetch(stage, &|| self.control.cancelled())?;
+            self.control.inspect(progress, &shown(stage));
+        }
         Ok(())
+    }
+
+    fn at_fine_step(&self, step: u64) -> Progress {
+        self.progress(Phase::Train, self.steps_before + step)
     }
 
     fn progress(&self, phase: Phase, step: u64) -> Progress {
@@ -217,13 +275,6 @@ impl Session<'_> {
 
     fn report(&self, phase: Phase, step: u64) {
         self.control.progress(self.progress(phase, step));
-    }
-
-    fn show(&self, field: &Field, fine_step: u64) {
-        let progress = self.progress(Phase::Train, self.steps_before + fine_step);
-        if self.control.looks(progress) {
-            self.control.inspect(progress, field);
-        }
     }
 }
 

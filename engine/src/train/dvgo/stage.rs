@@ -1,65 +1,42 @@
-//! A grid being trained: its values, its mask, its optimiser, and one step.
-
-use std::sync::Mutex;
+//! A grid being trained: its values and its mask, and what changes them between steps. Steps are [`super::steps`].
 
 use glam::{DVec3, UVec3};
-use rayon::prelude::*;
 
-use super::adam::GridAdam;
-use super::chunk::{Chunk, Coloring, RAYS_PER_CHUNK, Scratch, Setting};
 use super::grid::Shape;
 use super::losses::LossSetting;
 use super::march::{Medium, raw_of_alpha};
 use super::mask::NodeMask;
-use super::pixels::PixelRay;
 use super::recipe::{GridRecipe, StepRecipe};
 use super::resample::resample;
-use crate::backend::cpu::Simd;
-use crate::backend::cpu::adam::Adam;
-use crate::backend::cpu::colorist::Colorist;
 use crate::field::{ColorMlp, DensityActivation};
 
-/// A stage's state. C colour values per node: 3 and a padding of direct colour, or 12 features.
+/// A stage's state, up to date on the host but for what steps on a device have moved since the last fetch. C colour values per node: 3 and a
+/// padding of direct colour, or 12 features.
 #[derive(Debug)]
-pub(super) struct Stage<const C: usize> {
-    pub(super) grid: GridRecipe,
-    pub(super) recipe: StepRecipe,
-    pub(super) shape: Shape,
-    pub(super) density: Vec<f32>,
-    pub(super) colors: Vec<[f32; C]>,
-    pub(super) mask: NodeMask,
-    pub(super) activation: DensityActivation,
-    pub(super) network: Option<Network>,
-    voxel_m: f64,
-    adam: GridAdam<C>,
+pub(crate) struct Stage<const C: usize> {
+    pub(crate) grid: GridRecipe,
+    pub(crate) recipe: StepRecipe,
+    pub(crate) shape: Shape,
+    pub(crate) density: Vec<f32>,
+    pub(crate) colors: Vec<[f32; C]>,
+    pub(crate) mask: NodeMask,
+    pub(crate) activation: DensityActivation,
+    /// The colour network of a stage that has one.
+    pub(crate) mlp: Option<ColorMlp>,
+    /// Factor on the density's rate at every node; empty is 1.
+    pub(crate) density_shares: Vec<f32>,
+    pub(crate) losses: LossSetting,
     /// Steps since the optimiser started anew.
-    age: u64,
-    losses: LossSetting,
-    buffers: Buffers<C>,
-    simd: Simd,
+    pub(crate) age: u64,
+    voxel_m: f64,
 }
 
-/// The colour network with its optimiser.
-#[derive(Debug)]
-pub(super) struct Network {
-    pub(super) mlp: ColorMlp,
-    colorist: Colorist,
-    adam: Adam,
-    gradients: Vec<f32>,
-}
-
-#[derive(Debug, Default)]
-struct Buffers<const C: usize> {
-    chunks: Vec<Chunk<C>>,
-    /// One for each thread.
-    scratch: Vec<Mutex<Scratch>>,
-}
-
-/// Mean squared error and loss of a step.
+/// Learning rates of a step, without bias corrections.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct StepError {
-    pub(super) squared_error: f64,
-    pub(super) loss: f64,
+pub(crate) struct DecayedRates {
+    pub(crate) density: f64,
+    pub(crate) color: f64,
+    pub(crate) mlp: f64,
 }
 
 /// Edge of one of `voxels` equal cubes that fill the box, and the nodes along each edge of the box.
@@ -69,29 +46,6 @@ pub(super) fn resolution((low, high): (DVec3, DVec3), voxels: u64) -> (f64, UVec
     (voxel_m, (size / voxel_m).as_uvec3().max(UVec3::splat(2)))
 }
 
-impl Network {
-    pub(super) fn new(mlp: ColorMlp) -> Self {
-        Self {
-            colorist: Colorist::fastest(&mlp),
-            adam: Adam::default(),
-            gradients: Vec::new(),
-            mlp,
-        }
-    }
-
-    fn step<const C: usize>(&mut self, chunks: &[Chunk<C>], rate: f32) {
-        self.gradients.clear();
-        self.gradients.resize(self.mlp.parameters().len(), 0.0);
-        for chunk in chunks {
-            let sums = self.gradients.iter_mut().zip(&chunk.network_gradients);
-            sums.for_each(|(sum, g)| *sum += g);
-        }
-        self.adam
-            .step(self.mlp.parameters_mut(), &self.gradients, rate);
-        self.colorist.update(&self.mlp);
-    }
-}
-
 impl<const C: usize> Stage<C> {
     /// An untouched grid of `nodes` over a box, with voxels of `voxel_m` (which with the box need not fit exactly), in a mask.
     pub(super) fn new(
@@ -99,7 +53,7 @@ impl<const C: usize> Stage<C> {
         shape: Shape,
         (voxel_m, base_voxel_m): (f64, f64),
         mask: NodeMask,
-        network: Option<Network>,
+        mlp: Option<ColorMlp>,
         backdrop: [f32; 3],
     ) -> Self {
         Self {
@@ -107,25 +61,18 @@ impl<const C: usize> Stage<C> {
             colors: vec![[0.0; C]; shape.len()],
             mask,
             activation: DensityActivation::from_alpha(grid.alpha_init, base_voxel_m as f32),
-            network,
-            voxel_m,
-            adam: GridAdam::new(&shape, recipe.masked, Vec::new()),
-            age: 0,
+            mlp,
+            density_shares: Vec::new(),
             losses: LossSetting::new(&recipe, backdrop),
-            buffers: Buffers::default(),
-            simd: Simd::detect(),
+            age: 0,
+            voxel_m,
             grid,
             recipe,
             shape,
         }
     }
 
-    /// Scales the density's learning rate at every node.
-    pub(super) fn set_density_shares(&mut self, shares: Vec<f32>) {
-        self.adam = GridAdam::new(&self.shape, self.recipe.masked, shares);
-    }
-
-    pub(super) fn step_m(&self) -> f64 {
+    pub(crate) fn step_m(&self) -> f64 {
         self.grid.step_voxels * self.voxel_m
     }
 
@@ -134,7 +81,7 @@ impl<const C: usize> Stage<C> {
         self.voxel_m / f64::from(self.activation.base_voxel_m)
     }
 
-    pub(super) fn medium(&self) -> Medium<'_> {
+    pub(crate) fn medium(&self) -> Medium<'_> {
         let interval = self.grid.step_voxels * self.voxel_ratio();
         Medium {
             shape: &self.shape,
@@ -177,7 +124,7 @@ impl<const C: usize> Stage<C> {
         self.mask = dense.and(&self.mask);
     }
 
-    /// Goes over to another grid over the same box, with a fresh optimiser, and lowers the density's shift.
+    /// Goes over to another grid over the same box, for a fresh optimiser, and lowers the density's shift.
     pub(super) fn rescale(&mut self, nodes: UVec3, voxel_m: f64, shift_by: f32) {
         let old = self.shape;
         let new = Shape::new(nodes, (old.low, old.high));
@@ -187,72 +134,18 @@ impl<const C: usize> Stage<C> {
         let mask = self.mask.resampled(&old, &new);
         (self.shape, self.voxel_m) = (new, voxel_m);
         self.mask = self.dense_nodes(self.grid.alpha_min).and(&mask);
-        self.adam = GridAdam::new(&new, self.recipe.masked, Vec::new());
-        if let Some(network) = &mut self.network {
-            network.adam = Adam::default();
-        }
+        self.density_shares.clear();
         self.age = 0;
         self.activation.act_shift -= shift_by;
     }
 
-    /// One optimiser step on `rays`. Does not move anything if the loss is not finite.
-    pub(super) fn step(&mut self, rays: &[PixelRay]) -> StepError {
-        let mut buffers = std::mem::take(&mut self.buffers);
-        self.differentiate(rays, &mut buffers);
-        let chunks = &buffers.chunks;
-        let error = StepError {
-            squared_error: chunks.iter().map(|c| c.squared_error).sum::<f64>() / rays.len() as f64,
-            loss: chunks.iter().map(|c| c.loss).sum(),
-        };
-        if error.loss.is_finite() {
-            self.apply(chunks);
-        }
-        self.buffers = buffers;
-        error
-    }
-
-    fn differentiate(&self, rays: &[PixelRay], buffers: &mut Buffers<C>) {
-        let count = rays.len().div_ceil(RAYS_PER_CHUNK);
-        buffers.chunks.resize_with(count, Chunk::default);
-        buffers
-            .scratch
-            .resize_with(rayon::current_num_threads(), Mutex::default);
-        let setting = Setting {
-            medium: self.medium(),
-            colors: &self.colors,
-            coloring: match &self.network {
-                Some(network) => Coloring::Network(&network.colorist),
-                None => Coloring::Direct,
-            },
-            losses: self.losses,
-            weight_min: self.grid.alpha_min as f32,
-            simd: self.simd,
-        };
-        let scratch = &buffers.scratch;
-        buffers
-            .chunks
-            .par_iter_mut()
-            .zip(rays.par_chunks(RAYS_PER_CHUNK))
-            .with_max_len(1)
-            .for_each(|(chunk, rays)| {
-                let thread = rayon::current_thread_index().unwrap_or(0);
-                let mut scratch = scratch[thread].lock().expect("no thread panicked");
-                chunk.run(&setting, rays, &mut scratch);
-            });
-    }
-
-    fn apply(&mut self, chunks: &[Chunk<C>]) {
+    /// Rates of the next step.
+    pub(crate) fn rates(&self) -> DecayedRates {
         let decay = 0.1f64.powf(self.age as f64 / self.recipe.decay_steps);
-        let rates = (
-            self.recipe.density_rate * decay,
-            self.recipe.color_rate * decay,
-        );
-        let values = (self.density.as_mut_slice(), self.colors.as_mut_slice());
-        self.adam
-            .step(&self.shape, values, chunks, rates, self.simd);
-        if let Some(network) = &mut self.network {
-            network.step(chunks, (self.recipe.mlp_rate * decay) as f32);
+        DecayedRates {
+            density: self.recipe.density_rate * decay,
+            color: self.recipe.color_rate * decay,
+            mlp: self.recipe.mlp_rate * decay,
         }
-        self.age += 1;
     }
 }

@@ -6,8 +6,8 @@ use super::adapter::{on_adapter, open};
 use super::street::{Street, camera};
 use crate::Error;
 use crate::backend::cpu::tests::{LOSSES, field, rays_of_all_sorts};
-use crate::backend::gpu::GpuBackend;
-use crate::backend::gpu::upload::NODES_PER_COPY;
+use crate::backend::gpu::transfer::NODES_PER_COPY;
+use crate::backend::gpu::{GpuBackend, GpuTrainer};
 use crate::backend::{Backend, bench_scene};
 use crate::camera::Distortion;
 use crate::field::BRICK_NODES;
@@ -65,7 +65,7 @@ fn parity_of_cancelled_steps_which_dispatch_nothing_more() {
         let gpu = open().expect("opens");
         let rays = rays_of_all_sorts(200);
         let step = |asked: &Asked| {
-            let mut trainer = gpu.open_trainer(field()).expect("fits");
+            let mut trainer = gpu.open_trainer(field(), &|| false).expect("fits");
             trainer.batches_of(16);
             let cancelled = || asked.answer(&gpu);
             trainer.step(&rays, &LOSSES, RATES, 0.5, &cancelled)
@@ -90,7 +90,7 @@ fn parity_of_cancelled_steps_which_dispatch_nothing_more() {
             assert_eq!(counts.len(), stop + 1, "asked again after a yes");
             assert_eq!(counts[stop], gpu.dispatch_count(), "dispatched after a yes");
         }
-        let mut trainer = shared.open_trainer(field()).expect("fits");
+        let mut trainer = shared.open_trainer(field(), &|| false).expect("fits");
         trainer
             .step(&rays, &LOSSES, RATES, 0.0, &|| false)
             .expect("works");
@@ -149,6 +149,57 @@ fn parity_of_cancelled_uploads_which_write_nothing_more() {
         let small = street.scene(camera(Distortion::None).resized(62, 19));
         let rendered = shared.render(&small, &options, &|| false);
         rendered.expect("renders");
+    });
+}
+
+/// A field of 35 bricks a side takes some pieces of every kind of value, up and down.
+#[test]
+fn parity_of_trainers_that_are_cancelled_while_they_open_or_fetch() {
+    on_adapter("cancelled trainers", |shared| {
+        let gpu = open().expect("opens");
+        let large = bench_scene::field(16);
+        let nodes = large.levels()[0].density().len() - BRICK_NODES;
+        let open_at = |stop: Option<usize>| {
+            let asked = Asked {
+                stop,
+                ..Asked::default()
+            };
+            let opened = gpu.open_trainer(large.clone(), &|| asked.answer(&gpu));
+            (opened, asked.counts().len())
+        };
+        let (opened, asks) = open_at(None);
+        let mut trainer = opened.expect("fits");
+        // Densities, three quads of features, and the mean squares of both together.
+        asked_for_every_piece(asks, nodes).expect("short pieces");
+        for stop in [0, 1, asks - 1] {
+            let (stopped, asks) = open_at(Some(stop));
+            let error = stopped.expect_err("was cancelled");
+            assert_eq!(error, crate::backend::gpu::Error::Cancelled);
+            assert_eq!(asks, stop + 1, "asked again after a yes");
+        }
+        let fetch_at = |trainer: &mut GpuTrainer, stop: Option<usize>| {
+            let asked = Asked {
+                stop,
+                ..Asked::default()
+            };
+            let fetched = trainer.fetch(&|| asked.answer(&gpu));
+            (fetched, asked.counts().len())
+        };
+        let (fetched, asks) = fetch_at(&mut trainer, None);
+        fetched.expect("nobody cancels");
+        assert_eq!(asks, nodes.div_ceil(NODES_PER_COPY));
+        for stop in [0, asks - 1] {
+            let (stopped, asks) = fetch_at(&mut trainer, Some(stop));
+            assert_eq!(stopped, Err(crate::backend::gpu::Error::Cancelled));
+            assert_eq!(asks, stop + 1, "asked again after a yes");
+        }
+        // Broken: one question in all.
+        assert!(asked_for_every_piece(1, nodes).is_err());
+        let mut small = shared.open_trainer(field(), &|| false).expect("fits");
+        let rays = rays_of_all_sorts(16);
+        small
+            .step(&rays, &LOSSES, RATES, 0.0, &|| false)
+            .expect("works");
     });
 }
 

@@ -36,13 +36,13 @@ fn parity_of_a_step_of_a_dense_background() {
         let nodes = field.levels()[0].density().len();
         assert!(nodes > 36_000_000, "{nodes} nodes");
         let rays = rays(RAYS);
-        let mut trainer = gpu.open_trainer(field.clone()).expect("fits");
+        let mut trainer = gpu.open_trainer(field.clone(), &|| false).expect("fits");
         let [densities, features] = trainer.part_counts();
         println!("{nodes} nodes, densities in {densities} parts, features in {features}");
         trainer
             .step(&rays, &LOSSES, RATES, 0.0, &|| false)
             .expect("works");
-        trainer.fetch().expect("works");
+        trainer.fetch(&|| false).expect("works");
         let device = trainer.into_field();
         let mut trainer = CpuTrainer::new(field.clone(), Simd::Baseline);
         trainer.step(&rays, &LOSSES, RATES);

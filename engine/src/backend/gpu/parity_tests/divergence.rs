@@ -44,7 +44,7 @@ fn run(mut trainer: Trainer, poisoned: u64, poison: Poison) -> crate::Result<Fie
         }
         trainer.step(&rays, &LOSSES, RATES, &|| false)?;
     }
-    trainer.into_field()
+    trainer.into_field(&|| false)
 }
 
 fn on_cpu() -> Trainer {
@@ -57,7 +57,7 @@ fn parity_of_the_step_and_quantity_that_diverged() {
         for (poison, expected) in [(COLOR, "colour"), (RANGE, "loss")] {
             // One that is asked about at once, and one whose sums others have followed by then.
             for step in [3, 8] {
-                let on_gpu = || Trainer::on_gpu(gpu.open_trainer(field()).unwrap());
+                let on_gpu = || Trainer::on_gpu(gpu.open_trainer(field(), &|| false).unwrap());
                 let device = diverged(on_gpu(), step, poison);
                 assert_eq!(device, (step, expected));
                 assert_eq!(device, diverged(on_cpu(), step, poison));
@@ -74,11 +74,11 @@ fn parity_of_a_field_that_diverged_nothing_of_which_moves_from_then_on() {
         let rays = rays_of_all_sorts(60);
         let mut poisoned = rays.clone();
         COLOR(&mut poisoned[4]);
-        let mut trainer = gpu.open_trainer(field()).unwrap();
+        let mut trainer = gpu.open_trainer(field(), &|| false).unwrap();
         let mut fetched = Vec::new();
         for rays in [&rays, &poisoned, &rays] {
             trainer.step(rays, &LOSSES, RATES, 0.0, &|| false).unwrap();
-            trainer.fetch().unwrap();
+            trainer.fetch(&|| false).unwrap();
             fetched.push((trainer.field().clone(), trainer.view_corrections().unwrap()));
         }
         assert_ne!(fetched[0].0, field(), "a sound step moves something");

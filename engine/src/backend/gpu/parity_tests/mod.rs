@@ -27,3 +27,11 @@ mod street;
 mod compare_frames;
 
 mod frame;
+
+mod grid_compare;
+
+mod grid_stages;
+
+mod grid_steps;
+
+mod grid_runs;

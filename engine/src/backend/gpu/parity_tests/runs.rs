@@ -5,7 +5,7 @@ use std::sync::Arc;
 use super::adapter::on_adapter;
 use crate::Result;
 use crate::backend::cpu::{CpuBackend, CpuTrainer, Simd};
-use crate::backend::{Backend, LoadedField, Trainer};
+use crate::backend::{Backend, GridDevice, LoadedField, Trainer};
 use crate::field::Field;
 use crate::scene::{RenderOptions, RenderedFrame, Scene};
 use crate::train::tests::{drive, orbit, quick};
@@ -13,11 +13,11 @@ use crate::train::{Budget, NoControl, TrainPreset, train_background, train_objec
 
 const STEPS: u64 = 50;
 /// What rounding, reordered sums and the decisions they tip may cost after fifty steps.
-const PSNR_DB: f64 = 0.1;
+pub(super) const PSNR_DB: f64 = 0.1;
 
 /// The CPU's path without fused multiply-add, in f32.
 #[derive(Debug)]
-struct Unfused;
+pub(super) struct Unfused;
 
 impl Backend for Unfused {
     fn name(&self) -> &'static str {
@@ -32,8 +32,12 @@ impl Backend for Unfused {
         CpuBackend.load(field)
     }
 
-    fn trainer(&self, field: Field) -> Result<Trainer> {
+    fn trainer(&self, field: Field, _: &dyn Fn() -> bool) -> Result<Trainer> {
         Ok(Trainer::on_cpu(CpuTrainer::new(field, Simd::Baseline)))
+    }
+
+    fn grid_device(&self) -> Result<GridDevice> {
+        Ok(GridDevice::cpu_in_f32(Simd::Baseline))
     }
 
     fn render(

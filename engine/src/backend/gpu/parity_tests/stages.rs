@@ -31,7 +31,7 @@ fn scene(width: usize, losses: RayLosses) -> Scene {
 }
 
 fn on_gpu(gpu: &GpuBackend, scene: &Scene) -> Gpu<Stages> {
-    let mut trainer = gpu.open_trainer(scene.field.clone()).unwrap();
+    let mut trainer = gpu.open_trainer(scene.field.clone(), &|| false).unwrap();
     let stages = trainer.stages(&scene.rays, &scene.losses, &scene.corrections);
     Gpu(stages.unwrap())
 }

@@ -75,7 +75,7 @@ impl Run {
     }
 
     fn on_gpu(&self, gpu: &GpuBackend) -> Moved {
-        let mut trainer = gpu.open_trainer(self.field.clone()).unwrap();
+        let mut trainer = gpu.open_trainer(self.field.clone(), &|| false).unwrap();
         trainer.batches_of(self.batch);
         for _ in 0..STEPS {
             let (losses, quantile) = (&self.losses, self.trim_quantile);
@@ -83,7 +83,7 @@ impl Run {
             stepped.unwrap();
         }
         let views = trainer.view_corrections().unwrap();
-        trainer.fetch().unwrap();
+        trainer.fetch(&|| false).unwrap();
         Moved::new(&self.field, trainer.field(), &views)
     }
 
@@ -295,7 +295,9 @@ fn parity_of_steps_of_fields_that_no_binding_holds() {
             .with_views()
         };
         let narrow = open_narrow(128 << 10).expect("opens");
-        let trainer = narrow.open_trainer(run.field.clone()).expect("fits");
+        let trainer = narrow
+            .open_trainer(run.field.clone(), &|| false)
+            .expect("fits");
         let [densities, features] = trainer.part_counts();
         drop(trainer);
         assert!(

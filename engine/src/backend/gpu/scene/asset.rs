@@ -8,9 +8,9 @@ use crate::backend::gpu::device::Device;
 use crate::backend::gpu::error::Error;
 use crate::backend::gpu::features::{self, QUADS, Quad};
 use crate::backend::gpu::field::ResidentField;
+use crate::backend::gpu::network::ResidentNetwork;
 use crate::backend::gpu::parts::Parts;
-use crate::backend::gpu::train::network::ResidentNetwork;
-use crate::backend::gpu::upload::Upload;
+use crate::backend::gpu::transfer::Transfer;
 use crate::field::mlp::MlpLayout;
 use crate::field::{Field, SkyMap};
 
@@ -34,8 +34,8 @@ pub(super) struct ResidentSky {
 impl ResidentAsset {
     /// # Errors
     /// [`Error::TooLarge`] where a buffer outgrows the adapter's bindings, [`Error::OutOfMemory`] where the device is full, and those
-    /// of [`Upload::go_on`].
-    pub(super) fn upload(upload: Upload<'_>, field: &Field) -> Result<Self, Error> {
+    /// of [`Transfer::go_on`].
+    pub(super) fn upload(upload: Transfer<'_>, field: &Field) -> Result<Self, Error> {
         let device = upload.device;
         Ok(Self {
             shape: ResidentField::upload(upload, field)?,

@@ -11,8 +11,8 @@ use super::batch::Staged;
 use super::kernels::network;
 use super::workspace::{Lists, Room, Workspace};
 use crate::backend::gpu::error::Error;
+use crate::backend::gpu::free_groups;
 use crate::backend::gpu::pipeline::{Groups, Pipeline};
-use crate::backend::gpu::train::free_groups;
 use crate::scene::Tone;
 
 /// Coloured samples that one thread of the colour kernels takes, about.

@@ -6,8 +6,8 @@ use backlot_shaders::{Kernel, kernels};
 
 use crate::backend::gpu::device::Device;
 use crate::backend::gpu::error::Error;
+use crate::backend::gpu::network::width_blocks;
 use crate::backend::gpu::pipeline::Pipeline;
-use crate::backend::gpu::train::network::width_blocks;
 use crate::field::mlp::MlpLayout;
 
 #[derive(Debug)]

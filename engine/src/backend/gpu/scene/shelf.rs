@@ -8,7 +8,7 @@ use super::asset::ResidentAsset;
 use crate::backend::gpu::device::Device;
 use crate::backend::gpu::error::Error;
 use crate::backend::gpu::residency::{NoRoom, Residency};
-use crate::backend::gpu::upload::Upload;
+use crate::backend::gpu::transfer::Transfer;
 use crate::field::Field;
 
 /// How often who waits for somebody else's upload asks whether it is cancelled; a piece of an upload takes about as long.
@@ -66,7 +66,7 @@ impl Shelf {
         let mut kept = self.lock_unless(cancelled)?;
         kept.drop_dead();
         if !kept.residency.pin(place) {
-            kept.upload(Upload::new(device, cancelled), field, place)?;
+            kept.upload(Transfer::new(device, cancelled), field, place)?;
         }
         let asset = Arc::clone(&kept.assets[&place].1);
         Ok(Pinned {
@@ -109,7 +109,7 @@ impl Shelf {
 impl Kept {
     fn upload(
         &mut self,
-        upload: Upload<'_>,
+        upload: Transfer<'_>,
         field: &Arc<Field>,
         place: Place,
     ) -> Result<(), Error> {

@@ -1,12 +1,13 @@
 //! What a batch of rays needs between its kernels.
 
-use backlot_shaders::{INPUT_BLOCKS, SLOTS_AT_ONCE, layout};
+use backlot_shaders::layout;
 use wgpu::BufferUsages;
 
-use super::network::{Block, layer_params, weight_blocks, width_blocks};
 use crate::backend::gpu::buffer::Buffer;
 use crate::backend::gpu::device::Device;
 use crate::backend::gpu::error::Error;
+use crate::backend::gpu::network::NetworkBatch;
+use crate::backend::gpu::network::batch::{gradient_shares, most_slots, padded};
 use crate::field::Field;
 use crate::field::mlp::MlpLayout;
 
@@ -14,9 +15,6 @@ use crate::field::mlp::MlpLayout;
 const SAMPLES_PER_RAY: u32 = 1024;
 
 type Quad = [f32; 4];
-
-/// The network's inputs: the most that a slot takes of one buffer, but for the activations of wide networks.
-const BYTES_PER_SLOT: u64 = (INPUT_BLOCKS * size_of::<Quad>()) as u64;
 
 /// How much work is handed out at once.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -38,24 +36,13 @@ impl Capacity {
         samples_per_ray: u32,
         step_rays: usize,
     ) -> Self {
-        // A processor wants a batch near its caches, a GPU wants many samples.
-        // Every share of weight gradients is read and written once a batch.
-        let (hidden_bytes, shares): (u64, u32) = match device.processors() {
-            Some(count) => (32 << 20, count.clamp(2, 8)),
-            None => (256 << 20, 64),
-        };
-        let width_bytes = (network.width * size_of::<f32>()) as u64;
-        let widest = width_bytes.max(BYTES_PER_SLOT);
-        let samples = (hidden_bytes / width_bytes).min(device.max_binding_bytes() / widest);
-        // Kernels that take many slots at once write past the last.
-        let samples = samples.saturating_sub(u64::from(SLOTS_AT_ONCE) - 1);
-        let samples = u32::try_from(samples).unwrap_or(u32::MAX);
+        let samples = most_slots(device, network);
         let step_rays = step_rays.max(1) as u32;
         Self {
             rays: (samples / samples_per_ray).clamp(1, step_rays),
             samples_per_ray,
             step_rays,
-            shares,
+            shares: gradient_shares(device),
         }
     }
 
@@ -92,17 +79,9 @@ pub(super) struct Batch {
     pub(super) first_points: Buffer<u32>,
     pub(super) points: Buffer<layout::GradientPoint>,
     pub(super) slot_samples: Buffer<layout::SlotSample>,
-    /// Ten quads a slot.
-    pub(super) slot_inputs: Buffer<Quad>,
     pub(super) slot_colors: Buffer<Quad>,
     pub(super) slot_color_gradients: Buffer<Quad>,
-    /// By the features, three quads a slot.
-    pub(super) slot_gradients: Buffer<Quad>,
-    /// Activations of the two hidden layers and gradients by them.
-    pub(super) hidden: [Buffer<Quad>; 2],
-    pub(super) hidden_gradients: [Buffer<Quad>; 2],
-    pub(super) weight_gradients: Buffer<Block>,
-    pub(super) layers: [Buffer<layout::LayerParams>; 3],
+    pub(super) network: NetworkBatch,
     /// Coloured samples and points of the batch, then of the step.
     pub(super) counters: Buffer<u32>,
     /// Of the whole step.
@@ -126,18 +105,8 @@ impl Batch {
         let rays = capacity.rays as usize;
         let samples = rays * capacity.samples_per_ray as usize;
         let step_rays = capacity.step_rays as usize;
-        let blocks = capacity.shares as usize * weight_blocks(network);
-        let slots = samples.next_multiple_of(SLOTS_AT_ONCE as usize);
-        let neurons = slots * width_blocks(network);
+        let slots = padded(samples);
         let storage = BufferUsages::STORAGE;
-        let layer = |params: &layout::LayerParams| {
-            let params = layout::LayerParams {
-                shares: capacity.shares,
-                ..*params
-            };
-            Buffer::from_slice(device, "layer", &[params], BufferUsages::UNIFORM)
-        };
-        let [first, second, third] = layer_params(network);
         Ok(Self {
             capacity,
             rays: Buffer::zeroed(device, "rays", rays, storage)?,
@@ -149,20 +118,9 @@ impl Batch {
             first_points: Buffer::zeroed(device, "first points", rays, storage)?,
             points: Buffer::zeroed(device, "gradient points", samples, storage)?,
             slot_samples: Buffer::zeroed(device, "slot samples", slots, storage)?,
-            slot_inputs: Buffer::zeroed(device, "slot inputs", INPUT_BLOCKS * slots, storage)?,
             slot_colors: Buffer::zeroed(device, "slot colours", slots, storage)?,
             slot_color_gradients: Buffer::zeroed(device, "slot colour gradients", slots, storage)?,
-            slot_gradients: Buffer::zeroed(device, "slot gradients", 3 * slots, storage)?,
-            hidden: [
-                Buffer::zeroed(device, "hidden layer 1", neurons, storage)?,
-                Buffer::zeroed(device, "hidden layer 2", neurons, storage)?,
-            ],
-            hidden_gradients: [
-                Buffer::zeroed(device, "gradients of hidden layer 1", neurons, storage)?,
-                Buffer::zeroed(device, "gradients of hidden layer 2", neurons, storage)?,
-            ],
-            layers: [layer(&first)?, layer(&second)?, layer(&third)?],
-            weight_gradients: Buffer::zeroed(device, "weight gradients", blocks, storage)?,
+            network: NetworkBatch::new(device, network, samples, capacity.shares)?,
             counters: Buffer::zeroed(device, "counters", 4, storage)?,
             ray_losses: Buffer::zeroed(device, "ray losses", step_rays, storage)?,
         })

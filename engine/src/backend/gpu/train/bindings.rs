@@ -5,7 +5,6 @@ use backlot_shaders::layout;
 use super::batch::Batch;
 use super::kernels::TrainKernels;
 use super::lattices::Lattices;
-use super::network::{ResidentNetwork, layer_params};
 use super::part_bindings::NodeBindings;
 use super::sky::Sky;
 use super::state::StepBuffers;
@@ -14,7 +13,7 @@ use crate::backend::gpu::buffer::Buffer;
 use crate::backend::gpu::device::Device;
 use crate::backend::gpu::error::Error;
 use crate::backend::gpu::march::march_buffers;
-use crate::backend::gpu::pipeline::Pipeline;
+use crate::backend::gpu::network::{NetworkBindings, NetworkBuffers, ResidentNetwork};
 
 /// All buffers of a trainer.
 #[derive(Clone, Copy, Debug)]
@@ -34,13 +33,9 @@ pub(super) struct Bindings {
     pub(super) correct: wgpu::BindGroup,
     pub(super) march: wgpu::BindGroup,
     pub(super) composite: wgpu::BindGroup,
-    pub(super) forward: wgpu::BindGroup,
+    pub(super) network: NetworkBindings,
     pub(super) losses: wgpu::BindGroup,
-    pub(super) backward: wgpu::BindGroup,
-    /// One a layer.
-    pub(super) layer_gradients: [wgpu::BindGroup; 3],
     pub(super) sum: wgpu::BindGroup,
-    pub(super) step_network: wgpu::BindGroup,
     pub(super) step_sky: wgpu::BindGroup,
     pub(super) step_views: wgpu::BindGroup,
     /// One a part of the nodes.
@@ -58,12 +53,9 @@ impl Bindings {
             correct: correct(device, kernels, buffers)?,
             march: march(device, kernels, buffers)?,
             composite: composite(device, kernels, buffers)?,
-            forward: forward(device, &kernels.forward, buffers)?,
+            network: NetworkBindings::new(device, &kernels.network, network(buffers))?,
             losses: losses(device, kernels, buffers)?,
-            backward: backward(device, kernels, buffers)?,
-            layer_gradients: layer_gradients(device, kernels, buffers)?,
             sum: sum(device, kernels, buffers)?,
-            step_network: step_network(device, kernels, buffers)?,
             step_sky: step_sky(device, kernels, buffers)?,
             step_views: step_views(device, kernels, buffers)?,
             parts: parts
@@ -114,21 +106,19 @@ fn composite(device: &Device, kernels: &TrainKernels, buffers: Buffers<'_>) -> B
     kernels.composite.bind(device, &own)
 }
 
-/// Of either variant.
-pub(super) fn forward(device: &Device, kernel: &Pipeline, buffers: Buffers<'_>) -> Bound {
+/// What the colour network's kernels see.
+pub(super) fn network(buffers: Buffers<'_>) -> NetworkBuffers<'_> {
     let batch = buffers.batch;
-    let [first, second, third] = &buffers.network.layers;
-    let own = [
-        &first.raw,
-        &second.raw,
-        &third.raw,
-        &batch.counters.raw,
-        &batch.slot_inputs.raw,
-        &batch.hidden[0].raw,
-        &batch.hidden[1].raw,
-        &batch.slot_colors.raw,
-    ];
-    kernel.bind(device, &own)
+    NetworkBuffers {
+        network: buffers.network,
+        moments: &buffers.step.moments,
+        batch: &batch.network,
+        counters: &batch.counters,
+        slot_colors: &batch.slot_colors,
+        slot_color_gradients: &batch.slot_color_gradients,
+        params: &buffers.step.params,
+        state: &buffers.step.state,
+    }
 }
 
 fn losses(device: &Device, kernels: &TrainKernels, buffers: Buffers<'_>) -> Bound {
@@ -156,51 +146,6 @@ fn losses(device: &Device, kernels: &TrainKernels, buffers: Buffers<'_>) -> Boun
     kernels.losses.bind(device, &own)
 }
 
-fn backward(device: &Device, kernels: &TrainKernels, buffers: Buffers<'_>) -> Bound {
-    let batch = buffers.batch;
-    let [first, second, third] = &buffers.network.layers;
-    let own = [
-        &first.raw,
-        &second.raw,
-        &third.raw,
-        &batch.counters.raw,
-        &batch.hidden[0].raw,
-        &batch.hidden[1].raw,
-        &batch.slot_colors.raw,
-        &batch.slot_color_gradients.raw,
-        &batch.hidden_gradients[0].raw,
-        &batch.hidden_gradients[1].raw,
-        &batch.slot_gradients.raw,
-    ];
-    kernels.backward.bind(device, &own)
-}
-
-fn layer_gradients(
-    device: &Device,
-    kernels: &TrainKernels,
-    buffers: Buffers<'_>,
-) -> Result<[wgpu::BindGroup; 3], Error> {
-    let batch = buffers.batch;
-    let [by_a, by_b] = &batch.hidden_gradients;
-    let layers = layer_params(buffers.network.layout());
-    let layer = |number: usize, inputs: &wgpu::Buffer, gradients: &wgpu::Buffer| {
-        let own = [
-            &batch.layers[number].raw,
-            &batch.counters.raw,
-            inputs,
-            gradients,
-            &batch.weight_gradients.raw,
-        ];
-        let layer = &layers[number];
-        kernels.layer_gradients(layer).bind(device, &own)
-    };
-    Ok([
-        layer(0, &batch.slot_inputs.raw, &by_a.raw)?,
-        layer(1, &batch.hidden[0].raw, &by_b.raw)?,
-        layer(2, &batch.hidden[1].raw, &batch.slot_color_gradients.raw)?,
-    ])
-}
-
 fn sum(device: &Device, kernels: &TrainKernels, buffers: Buffers<'_>) -> Bound {
     let own = [
         &buffers.step.params.raw,
@@ -209,17 +154,6 @@ fn sum(device: &Device, kernels: &TrainKernels, buffers: Buffers<'_>) -> Bound {
         &buffers.step.state.raw,
     ];
     kernels.sum.bind(device, &own)
-}
-
-fn step_network(device: &Device, kernels: &TrainKernels, buffers: Buffers<'_>) -> Bound {
-    let own = [
-        &buffers.step.params.raw,
-        &buffers.step.state.raw,
-        &buffers.batch.weight_gradients.raw,
-        &buffers.step.moments.raw,
-        &buffers.network.weights.raw,
-    ];
-    kernels.step_network.bind(device, &own)
 }
 
 fn step_sky(device: &Device, kernels: &TrainKernels, buffers: Buffers<'_>) -> Bound {

@@ -5,9 +5,9 @@ use std::time::Duration;
 use backlot_shaders::{INPUT_BLOCKS, VIEW_SUMS, VIEW_VALUES, layout};
 
 use super::GpuTrainer;
-use super::network::{unpack, weight_blocks};
 use super::rays::step_params;
 use crate::backend::cpu::ViewCorrection;
+use crate::backend::gpu::network::{unpack, weight_blocks};
 use crate::backend::gpu::pace::Pace;
 use crate::backend::stages::{StageColor, StageSample, Stages};
 use crate::field::{BRICK_NODES, FEATURES, RaySample};
@@ -49,7 +49,7 @@ impl GpuTrainer {
         assert!(rays.len() <= fits, "one batch is recorded, {fits} rays");
         self.submit_forward(rays, params)?;
         let slots = self.colored()?;
-        let inputs = &self.resident().1.slot_inputs;
+        let inputs = &self.resident().1.network.slot_inputs;
         let inputs = inputs.read(&self.device, INPUT_BLOCKS * slots)?;
         let features: Vec<[f32; FEATURES]> = inputs
             .as_chunks::<INPUT_BLOCKS>()
@@ -98,6 +98,7 @@ impl GpuTrainer {
         let quads = self
             .resident()
             .1
+            .network
             .slot_gradients
             .read(&self.device, 3 * slots)?;
         Ok(quads.as_flattened().as_chunks().0.to_vec())
@@ -142,7 +143,7 @@ impl GpuTrainer {
 
     fn network_gradient(&self) -> Result<Vec<f32>> {
         let layout = self.field.mlp.layout();
-        let partial = &self.resident().1.weight_gradients;
+        let partial = &self.resident().1.network.weight_gradients;
         let blocks = partial.read(&self.device, partial.len())?;
         let mut sum = vec![[0.0; 16]; weight_blocks(layout)];
         for thread in blocks.chunks_exact(sum.len()) {

@@ -5,12 +5,11 @@ use wgpu::BufferUsages;
 
 use super::squares::LevelSquares;
 use crate::backend::gpu::buffer::Buffer;
-use crate::backend::gpu::device::Device;
 use crate::backend::gpu::error::Error;
 use crate::backend::gpu::features::{self, QUADS, Quad};
 use crate::backend::gpu::field::ResidentField;
 use crate::backend::gpu::parts::Parts;
-use crate::backend::gpu::upload::{NODES_PER_COPY, Upload};
+use crate::backend::gpu::transfer::{NODES_PER_COPY, Transfer};
 use crate::field::{BRICK_NODES, Field, Lattice};
 
 /// All levels under one brick numbering, whose brick 0 is the null brick of each. What no binding holds as a whole is divided into parts,
@@ -33,7 +32,7 @@ pub(super) struct Lattices {
 
 impl Lattices {
     pub(super) fn upload(
-        upload: Upload<'_>,
+        upload: Transfer<'_>,
         field: &Field,
         squares: &mut [LevelSquares],
     ) -> Result<Self, Error> {
@@ -81,7 +80,7 @@ impl Lattices {
 
     fn write_squares(
         &self,
-        upload: Upload<'_>,
+        upload: Transfer<'_>,
         levels: &[Lattice],
         squares: &mut [LevelSquares],
     ) -> Result<(), Error> {
@@ -103,7 +102,7 @@ impl Lattices {
     /// Copies parameters and optimiser state back to the host, whose bricks must be those that were uploaded.
     pub(super) fn fetch(
         &self,
-        device: &Device,
+        pieces: Transfer<'_>,
         field: &mut Field,
         squares: &mut [LevelSquares],
     ) -> Result<(), Error> {
@@ -114,17 +113,18 @@ impl Lattices {
             for first in (BRICK_NODES..density.len()).step_by(NODES_PER_COPY) {
                 let own = first..density.len().min(first + NODES_PER_COPY);
                 let count = own.len();
-                let read = |values: &Parts<f32>| values.read(device, at, count);
+                let read = |values: &Parts<f32>| values.read(pieces.device, at, count);
                 density[own.clone()].copy_from_slice(&read(&self.shape.density)?);
                 squares.density[own.clone()].copy_from_slice(&read(&self.density_squares)?);
                 squares.features[own.clone()].copy_from_slice(&read(&self.feature_squares)?);
                 for (number, quads) in self.features.iter().enumerate() {
-                    let quads = quads.read(device, at, count)?;
+                    let quads = quads.read(pieces.device, at, count)?;
                     for (node, quad) in features[own.clone()].iter_mut().zip(&quads) {
                         node.as_chunks_mut::<4>().0[number] = *quad;
                     }
                 }
                 at += count;
+                pieces.go_on()?;
             }
         }
         Ok(())

@@ -11,13 +11,11 @@ mod bindings;
 mod inspect;
 mod kernels;
 mod lattices;
-pub(super) mod network;
 mod part_bindings;
-mod rays;
+pub(super) mod rays;
 mod sky;
 mod squares;
 mod state;
-mod submissions;
 mod update;
 mod views;
 
@@ -31,24 +29,23 @@ use batch::{Batch, Capacity, most_samples};
 use bindings::{Bindings, Buffers};
 use kernels::TrainKernels;
 use lattices::Lattices;
-use network::{ResidentNetwork, layer_params};
 use rays::{march_ray, step_params, target};
 use sky::Sky;
 use squares::LevelSquares;
 use state::StepBuffers;
-use submissions::Submissions;
-pub(super) use update::free_groups;
-use update::go_on;
 use views::Views;
 
 use super::buffer::Buffer;
 use super::device::Device;
 use super::error::Error;
+use super::free_groups;
 use super::kernel_times::KernelTimes;
+use super::network::{self, ResidentNetwork};
 use super::pace::Pace;
 use super::pipeline::Pipeline;
 use super::sequence::Sequence;
-use super::upload::Upload;
+use super::submissions::{Submissions, go_on};
+use super::transfer::Transfer;
 use crate::backend::cpu::ViewCorrection;
 use crate::field::Field;
 use crate::train::ray::{Rates, RayLosses, TrainRay};
@@ -101,14 +98,18 @@ pub struct GpuTrainer {
 }
 
 impl GpuTrainer {
-    /// Uploads a field.
+    /// Uploads a field. `cancelled` is asked between pieces.
     ///
     /// # Errors
-    /// [`Error::TooLarge`] or [`Error::OutOfMemory`] where it does not fit, [`Error::Lost`] and [`Error::Rejected`].
-    pub(super) fn new(device: Device, field: Field) -> Result<Self, Error> {
+    /// [`Error::TooLarge`] or [`Error::OutOfMemory`] where it does not fit, [`Error::Cancelled`], [`Error::Lost`] and [`Error::Rejected`].
+    pub(super) fn new(
+        device: Device,
+        field: Field,
+        cancelled: &dyn Fn() -> bool,
+    ) -> Result<Self, Error> {
         // Reading a weight is broadcast for free on a GPU, and dearer than using it in software.
         let takes_four = device.reads_together();
-        Self::with_variant(device, field, takes_four)
+        Self::with_variant(device, field, takes_four, cancelled)
     }
 
     /// [`Self::new`] whose colour network takes four samples a thread, or one, whatever suits the device.
@@ -116,10 +117,11 @@ impl GpuTrainer {
         device: Device,
         field: Field,
         takes_four: bool,
+        cancelled: &dyn Fn() -> bool,
     ) -> Result<Self, Error> {
         let network = field.mlp.layout();
         let mut squares = vec![LevelSquares::default(); field.levels.len()];
-        let lattices = Lattices::upload(Upload::of_all(&device), &field, &mut squares)?;
+        let lattices = Lattices::upload(Transfer::new(&device, cancelled), &field, &mut squares)?;
         let mut trainer = Self {
             kernels: TrainKernels::new(&device, &lattices.shape, network, takes_four)?,
             takes_four,
@@ -143,7 +145,7 @@ impl GpuTrainer {
             field,
             device,
         };
-        trainer.upload(1, &|| false)?;
+        trainer.upload(1, cancelled)?;
         Ok(trainer)
     }
 
@@ -169,13 +171,14 @@ impl GpuTrainer {
         self.device.dispatch_count()
     }
 
-    /// Brings the device's parameters and optimiser state to the host.
+    /// Brings the device's parameters and optimiser state to the host. `cancelled` is asked between pieces; some have come by then.
     ///
     /// # Errors
-    /// [`Error::Lost`] and [`Error::Rejected`].
-    pub fn fetch(&mut self) -> Result<(), Error> {
+    /// [`Error::Cancelled`], [`Error::Lost`] and [`Error::Rejected`].
+    pub fn fetch(&mut self, cancelled: &dyn Fn() -> bool) -> Result<(), Error> {
         if let Some(lattices) = &self.lattices {
-            lattices.fetch(&self.device, &mut self.field, &mut self.squares)?;
+            let pieces = Transfer::new(&self.device, cancelled);
+            lattices.fetch(pieces, &mut self.field, &mut self.squares)?;
             self.network.fetch(&self.device, &mut self.field.mlp)?;
             self.sky.fetch(&self.device, &mut self.field)?;
         }
@@ -277,9 +280,10 @@ impl GpuTrainer {
     pub fn forward(&mut self, rays: &[TrainRay], losses: &RayLosses) -> Result<u64, Error> {
         self.upload(rays.len(), &|| false)?;
         let network = self.field.mlp.layout();
-        let kernel = kernels::forward(&self.device, network, self.takes_four, false)?;
+        let kernel = network::kernels::forward(&self.device, network, self.takes_four, false)?;
         let (lattices, batch, _) = self.resident();
-        let bound = bindings::forward(&self.device, &kernel, self.buffers(lattices, batch))?;
+        let buffers = bindings::network(self.buffers(lattices, batch));
+        let bound = network::bindings::forward(&self.device, &kernel, buffers)?;
         let room = batch.capacity.rays as usize;
         self.colors_alone = Some((kernel, bound));
         let mut params = step_params(&self.field, losses, Rates::default(), 0);
@@ -314,7 +318,7 @@ impl GpuTrainer {
     fn upload(&mut self, rays: usize, cancelled: &dyn Fn() -> bool) -> Result<(), Error> {
         if self.lattices.is_none() {
             let (field, squares) = (&self.field, &mut self.squares);
-            let upload = Upload::new(&self.device, cancelled);
+            let upload = Transfer::new(&self.device, cancelled);
             let lattices = Lattices::upload(upload, field, squares)?;
             let network = field.mlp.layout();
             self.kernels =
@@ -416,7 +420,10 @@ impl GpuTrainer {
             }
             match &trainer.colors_alone {
                 Some((kernel, bound)) => sequence.run(kernel, bound, free),
-                None => sequence.run(&kernels.forward, &bindings.forward, free),
+                None => {
+                    let (kernel, bound) = (&kernels.network.forward, &bindings.network.forward);
+                    sequence.run(kernel, bound, free);
+                }
             }
             sequence
         })
@@ -431,12 +438,10 @@ impl GpuTrainer {
             let free = free_groups(device);
             let mut sequence = Sequence::new(device, "training batch, backward");
             sequence.run(&kernels.losses, &bindings.losses, per_ray);
-            sequence.run(&kernels.backward, &bindings.backward, free);
-            let layers = layer_params(trainer.field.mlp.layout());
-            for (layer, bound) in layers.iter().zip(&bindings.layer_gradients) {
-                let groups = kernels.layer_groups(device, layer, batch.capacity.shares);
-                sequence.run(kernels.layer_gradients(layer), bound, groups);
-            }
+            let shares = batch.capacity.shares;
+            kernels
+                .network
+                .run_backward(device, &mut sequence, &bindings.network, shares);
             for part in &bindings.parts {
                 sequence.run(&kernels.scatter, &part.scatter, free);
                 if params.pose_rate > 0.0 {

@@ -108,7 +108,7 @@ fn gather(device: &Device, kernels: &TrainKernels, buffers: Buffers<'_>, part: P
         &batch.rays.raw,
         &batch.slot_samples.raw,
         &batch.counters.raw,
-        &batch.slot_inputs.raw,
+        &batch.network.slot_inputs.raw,
     ];
     kernels.gather.bind(device, &own)
 }
@@ -122,7 +122,7 @@ fn scatter(device: &Device, kernels: &TrainKernels, buffers: Buffers<'_>, part: 
         &lattices.shape.brick_index.raw,
         &batch.counters.raw,
         &batch.points.raw,
-        &batch.slot_gradients.raw,
+        &batch.network.slot_gradients.raw,
         part.density_gradients,
         a,
         b,
@@ -149,7 +149,7 @@ fn poses(device: &Device, kernels: &TrainKernels, buffers: Buffers<'_>, part: Pa
         &batch.summaries.raw,
         &batch.first_points.raw,
         &batch.points.raw,
-        &batch.slot_gradients.raw,
+        &batch.network.slot_gradients.raw,
         &buffers.views.views.raw,
         &buffers.views.sums.raw,
     ];

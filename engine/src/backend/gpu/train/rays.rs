@@ -49,7 +49,7 @@ pub(super) fn target(ray: &TrainRay) -> layout::RayTarget {
 }
 
 /// Adam's rate with its bias corrections, in the `taken`-th step.
-pub(super) fn adam_rate(rate: f32, taken: u64) -> f32 {
+pub(in crate::backend::gpu) fn adam_rate(rate: f32, taken: u64) -> f32 {
     let taken = i32::try_from(taken).unwrap_or(i32::MAX);
     rate * (1.0 - BETA2.powi(taken)).sqrt() / (1.0 - BETA1.powi(taken))
 }

@@ -3,10 +3,10 @@
 use backlot_shaders::{BLOCK_FLOATS, layout};
 use wgpu::BufferUsages;
 
-use super::network::weight_blocks;
 use crate::backend::gpu::buffer::Buffer;
 use crate::backend::gpu::device::Device;
 use crate::backend::gpu::error::Error;
+use crate::backend::gpu::network::weight_blocks;
 use crate::field::mlp::MlpLayout;
 
 #[derive(Debug)]

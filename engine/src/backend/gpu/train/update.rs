@@ -1,13 +1,14 @@
 //! The end of a step: its sums, and all parameters moved against their gradients.
 
-use backlot_shaders::{BLOCK_FLOATS, layout};
+use backlot_shaders::layout;
 
 use super::GpuTrainer;
 use super::part_bindings::NodeBindings;
-use crate::backend::gpu::device::Device;
 use crate::backend::gpu::error::Error;
+use crate::backend::gpu::free_groups;
 use crate::backend::gpu::pipeline::{Groups, Pipeline};
 use crate::backend::gpu::sequence::Sequence;
+use crate::backend::gpu::submissions::{bricks_per_submission, go_on};
 use crate::field::BRICK_NODES;
 
 impl GpuTrainer {
@@ -95,11 +96,11 @@ impl GpuTrainer {
         self.submit(|trainer| {
             let (device, kernels) = (&trainer.device, &trainer.kernels);
             let (lattices, _, bindings) = trainer.resident();
-            let weights = trainer.network.weights.len() * BLOCK_FLOATS;
-            let per_weight = kernels.step_network.groups(device, weights as u32);
             let mut sequence = Sequence::new(device, "step of network, sky and views");
             sequence.clear(&lattices.touched_bricks.raw, 4);
-            sequence.run(&kernels.step_network, &bindings.step_network, per_weight);
+            kernels
+                .network
+                .run_step(device, &mut sequence, &bindings.network);
             trainer.network.spread(&mut sequence);
             if params.sky_texel_count > 0 {
                 sequence.run(&kernels.step_sky, &bindings.step_sky, free_groups(device));
@@ -119,30 +120,4 @@ enum Stage {
     Step,
     Vary,
     Smooth,
-}
-
-/// Touched bricks that one submission moves. A brick's step moves up to 140 kB: 16 Ki bricks take 23 ms at the 100 GB/s of a small GPU,
-/// and 1,024 about as long on a software adapter.
-fn bricks_per_submission(device: &Device) -> usize {
-    if device.is_software() {
-        1 << 10
-    } else {
-        1 << 14
-    }
-}
-
-/// # Errors
-/// [`crate::Error::Cancelled`] if `cancelled` says so.
-pub(super) fn go_on(cancelled: &dyn Fn() -> bool) -> crate::Result<()> {
-    if cancelled() {
-        return Err(crate::Error::Cancelled);
-    }
-    Ok(())
-}
-
-/// Workgroups of kernels that take items until there are no more. In software no more than keep its processors busy: what else is
-/// launched finds nothing to do.
-pub(in crate::backend::gpu) fn free_groups(device: &Device) -> Groups {
-    let x = device.processors().map_or(4096, |count| 2 * count);
-    Groups { x, y: 1 }
 }

@@ -14,7 +14,7 @@ use crate::train::dvgo::mask::{NodeMask, nearest};
 use crate::train::dvgo::network::initial_network;
 use crate::train::dvgo::pixels::Pixels;
 use crate::train::dvgo::resample::resample;
-use crate::train::dvgo::stage::{Network, Stage, resolution};
+use crate::train::dvgo::stage::{Stage, resolution};
 use crate::train::dvgo::view_count::count_views;
 use crate::view::Split;
 
@@ -36,10 +36,10 @@ fn fine(bounds: (DVec3, DVec3), recipe: &DvgoRecipe) -> Stage<FEATURES> {
     let shape = Shape::new(nodes, cubic_box(bounds, last_nodes));
     let mask = NodeMask::new(&shape, |_| true);
     let mut draws = Draws::new(1, 0, 0);
-    let network = Network::new(initial_network(32, || draws.unit()));
+    let mlp = initial_network(32, || draws.unit());
     let parts = (recipe.fine_grid, recipe.fine);
     let sizes = (voxel_m, base_voxel_m);
-    Stage::new(parts, shape, sizes, mask, Some(network), [1.0; 3])
+    Stage::new(parts, shape, sizes, mask, Some(mlp), [1.0; 3])
 }
 
 #[test]

@@ -4,4 +4,6 @@ mod adam;
 mod grids;
 mod losses;
 mod scene;
-mod whole;
+#[cfg(feature = "gpu")]
+pub(crate) mod stages;
+pub(crate) mod whole;

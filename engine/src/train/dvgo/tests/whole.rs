@@ -3,6 +3,7 @@
 use glam::DVec3;
 
 use super::scene::{DISTANCE_M, views};
+use crate::backend::cpu::CpuBackend;
 use crate::field::Field;
 use crate::train::control::{Progress, TrainControl};
 use crate::train::dvgo::framing::Framing;
@@ -11,7 +12,7 @@ use crate::train::{BoundedInput, NoControl};
 use crate::{Error, ErrorKind};
 
 /// The recipe's rules with a few thousand voxels and rays.
-fn small() -> DvgoRecipe {
+pub(crate) fn small() -> DvgoRecipe {
     let recipe = DvgoRecipe::scaled(600);
     DvgoRecipe {
         coarse: StepRecipe {
@@ -37,7 +38,7 @@ fn small() -> DvgoRecipe {
     }
 }
 
-fn ball() -> BoundedInput {
+pub(crate) fn ball() -> BoundedInput {
     let views = views(20, 4, 40);
     let (low_m, high_m) = frustum_box(&views).unwrap();
     BoundedInput {
@@ -93,7 +94,7 @@ impl TrainControl for Watch {
 fn a_small_scene_is_learned_and_is_an_ordinary_field() {
     let (input, recipe) = (ball(), small());
     let watch = Watch::stopping_at(u64::MAX);
-    let trained = train_dvgo(&input, &recipe, 1, &watch).unwrap();
+    let trained = train_dvgo(&input, &recipe, 1, &CpuBackend, &watch).unwrap();
     let psnr = trained.quality.psnr_held_out.unwrap();
     assert!(psnr > 25.0, "{psnr}");
     let field = trained.field;
@@ -117,7 +118,11 @@ fn the_same_seed_gives_the_same_field_on_any_number_of_threads() {
     let train = |threads: usize, seed: u64| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads);
         let pool = pool.build().unwrap();
-        pool.install(|| train_dvgo(&input, &recipe, seed, &NoControl).unwrap().field)
+        pool.install(|| {
+            train_dvgo(&input, &recipe, seed, &CpuBackend, &NoControl)
+                .unwrap()
+                .field
+        })
     };
     let one = train(1, 5);
     assert_eq!(one, train(3, 5));
@@ -128,17 +133,17 @@ fn the_same_seed_gives_the_same_field_on_any_number_of_threads() {
 fn bad_input_and_cancellation_end_with_their_errors() {
     let (input, recipe) = (ball(), small());
     let watch = Watch::stopping_at(5);
-    let cancelled = train_dvgo(&input, &recipe, 1, &watch).unwrap_err();
+    let cancelled = train_dvgo(&input, &recipe, 1, &CpuBackend, &watch).unwrap_err();
     assert!(matches!(cancelled, Error::Cancelled));
     let mut flat = input.clone();
     flat.high_m.z = flat.low_m.z;
-    let empty = train_dvgo(&flat, &recipe, 1, &NoControl).unwrap_err();
+    let empty = train_dvgo(&flat, &recipe, 1, &CpuBackend, &NoControl).unwrap_err();
     assert_eq!(empty.kind(), ErrorKind::Invalid);
     let mut white = input;
     for view in &mut white.views {
         view.rgb.fill(255);
     }
-    let nothing = train_dvgo(&white, &recipe, 1, &NoControl).unwrap_err();
+    let nothing = train_dvgo(&white, &recipe, 1, &CpuBackend, &NoControl).unwrap_err();
     assert!(nothing.to_string().contains("found nothing"), "{nothing}");
 }
 

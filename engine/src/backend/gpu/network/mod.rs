@@ -1,5 +1,15 @@
 //! The colour network in the form that kernels read: 4x4 blocks, layer after layer.
 
+pub(super) mod kernels;
+
+pub(super) mod batch;
+
+pub(super) mod bindings;
+
+pub(super) use batch::NetworkBatch;
+pub(super) use bindings::{NetworkBindings, NetworkBuffers};
+pub(super) use kernels::NetworkKernels;
+
 use backlot_shaders::layout::LayerParams;
 use backlot_shaders::{
     BLOCK_EDGE, BLOCK_FLOATS, INPUT_BLOCKS, LAYER_1_BLOCKS, LAYER_2_BLOCKS, LAYER_3_BLOCKS,
@@ -47,7 +57,7 @@ impl ResidentNetwork {
         Ok(network)
     }
 
-    pub(super) fn layout(&self) -> MlpLayout {
+    fn layout(&self) -> MlpLayout {
         self.layout
     }
 
@@ -89,7 +99,7 @@ pub(in crate::backend::gpu) fn weight_blocks(layout: MlpLayout) -> usize {
 }
 
 /// The layers as [`backlot_shaders::kernels::LAYER_GRADIENTS`] takes them, without shares.
-pub(super) fn layer_params(layout: MlpLayout) -> [LayerParams; 3] {
+pub(in crate::backend::gpu) fn layer_params(layout: MlpLayout) -> [LayerParams; 3] {
     let width = width_blocks(layout) as u32;
     let [first, second, _] = layer_blocks(layout).map(|blocks| blocks as u32);
     let third_at = first + second;
@@ -110,7 +120,7 @@ pub(super) fn layer_params(layout: MlpLayout) -> [LayerParams; 3] {
 }
 
 /// Tiles of 4 x 4 blocks that cover a layer's weights.
-pub(super) fn gradient_tiles(layer: &LayerParams) -> u32 {
+fn gradient_tiles(layer: &LayerParams) -> u32 {
     layer.input_quads.div_ceil(4) * layer.output_quads.div_ceil(4)
 }
 

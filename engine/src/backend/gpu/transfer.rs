@@ -1,4 +1,4 @@
-//! Uploads piece by piece, between which the caller may change its mind.
+//! Values that go to a device or come back piece by piece, between which the caller may change its mind.
 
 use super::device::Device;
 use super::error::Error;
@@ -7,14 +7,14 @@ use super::error::Error;
 /// a quad.
 pub(super) const NODES_PER_COPY: usize = 1 << 18;
 
-/// What goes to a device, as long as nobody cancels it.
+/// What goes to a device or comes back, as long as nobody cancels it.
 #[derive(Clone, Copy)]
-pub(super) struct Upload<'a> {
+pub(super) struct Transfer<'a> {
     pub(super) device: &'a Device,
     cancelled: &'a dyn Fn() -> bool,
 }
 
-impl<'a> Upload<'a> {
+impl<'a> Transfer<'a> {
     pub(super) fn new(device: &'a Device, cancelled: &'a dyn Fn() -> bool) -> Self {
         Self { device, cancelled }
     }
