@@ -7,9 +7,11 @@
 use std::fs::File;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 
 use super::error::{Error, IoContext, Result};
 use super::journal::{State, sync_parent};
+use super::lock::{LOCK_WAIT, when_free};
 use super::record::is_intact;
 use super::txn::Change;
 
@@ -37,19 +39,27 @@ pub(super) struct Opened {
 
 impl Index {
     /// Opens what is there, without its snapshot if need be. `None` if it cannot be read; it was moved aside then.
+    ///
+    /// # Errors
+    /// [`Error::InUse`] if its lock is held, [`Error::Io`] if the disk is full or the folder cannot be changed. It is left as it
+    /// is then.
     pub(super) fn open(folder: &Path) -> Result<Option<Opened>> {
+        Self::open_within(folder, LOCK_WAIT)
+    }
+
+    fn open_within(folder: &Path, lock_wait: Duration) -> Result<Option<Opened>> {
         std::fs::create_dir_all(folder).at("create", folder)?;
         remove_unfinished_snapshots(folder)?;
-        let first = match try_open(folder) {
+        let first = match when_free(lock_wait, || try_open(folder)) {
             Ok(opened) => return Ok(Some(opened)),
             Err(e) => e,
         };
-        if is_disk_full(&first) {
+        if is_disk_full(&first) || matches!(first, Error::InUse { .. }) {
             return Err(first);
         }
         tracing::warn!(error = %first, "the metadata index does not open; trying without its snapshot");
         if move_snapshots_aside(folder)? {
-            match try_open(folder) {
+            match when_free(lock_wait, || try_open(folder)) {
                 Ok(opened) => return Ok(Some(opened)),
                 Err(e) => tracing::warn!(error = %e, "nor without its snapshot"),
             }
@@ -64,7 +74,7 @@ impl Index {
     /// A new, empty index.
     pub(super) fn create(folder: &Path) -> Result<Opened> {
         std::fs::create_dir_all(folder).at("create", folder)?;
-        try_open(folder)
+        when_free(LOCK_WAIT, || try_open(folder))
     }
 
     /// Makes the changes, in order, and the sequence durable.
@@ -150,7 +160,12 @@ fn try_open(folder: &Path) -> Result<Opened> {
             .cache_capacity(CACHE_BYTES)
             .flush_every_ms(None)
             .open()
-            .map_err(index_error)?;
+            .map_err(|e| match is_locked(&e) {
+                true => Error::InUse {
+                    path: folder.to_owned(),
+                },
+                false => index_error(e),
+            })?;
         let index = Index {
             folder: folder.to_owned(),
             records: db.open_tree("records").map_err(index_error)?,
@@ -188,6 +203,11 @@ fn try_open(folder: &Path) -> Result<Opened> {
             what: "sled panicked while opening".into(),
         })
     })
+}
+
+/// sled has no error of its own for this, only a text.
+fn is_locked(error: &sled::Error) -> bool {
+    matches!(error, sled::Error::Io(e) if e.to_string().starts_with("could not acquire lock"))
 }
 
 fn index_error(error: sled::Error) -> Error {
@@ -322,6 +342,25 @@ mod tests {
         assert!(Index::open(&folder).unwrap().is_none());
         assert!(root.path().join("index-damaged-1").exists());
         assert!(Index::create(&folder).unwrap().content.is_empty());
+    }
+
+    #[test]
+    fn a_lock_that_lives_on_is_waited_for_and_never_taken_for_damage() {
+        let root = tempfile::tempdir().unwrap();
+        let folder = root.path().join("index");
+        let state = filled(&folder, 100);
+        let holder = File::open(folder.join("db")).unwrap();
+        holder.lock().unwrap();
+        let refused = Index::open_within(&folder, Duration::ZERO);
+        assert!(matches!(refused, Err(Error::InUse { path }) if path == folder));
+        assert!(!root.path().join("index-damaged-1").exists());
+        let ending = std::thread::spawn(move || {
+            std::thread::sleep(Duration::from_millis(50));
+            drop(holder);
+        });
+        let opened = Index::open_within(&folder, Duration::from_secs(60)).unwrap();
+        assert_eq!(opened.unwrap().content, state);
+        ending.join().unwrap();
     }
 
     #[test]
