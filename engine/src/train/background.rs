@@ -147,7 +147,7 @@ fn prepare_dense(input: &BackgroundInput, preset: &TrainPreset, seed: u64) -> Re
     Ok(field)
 }
 
-fn sky_map() -> SkyMap {
+pub(super) fn sky_map() -> SkyMap {
     let grids = SKY_GRIDS.map(|(width, height)| SkyGrid::new(width, height));
     SkyMap::new(grids.to_vec())
 }

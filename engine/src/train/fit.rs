@@ -1,5 +1,6 @@
 //! The training loop, the same for every kind of field.
 
+use super::average::Average;
 use super::control::{Progress, Stage, TrainControl};
 use super::evaluate::evaluate;
 use super::input::Trained;
@@ -41,6 +42,7 @@ pub(super) fn fit(
     let mut rays: Vec<TrainRay> = Vec::new();
     let mut losses = preset.losses;
     let mut surveyed = 0;
+    let mut average = Average::of_last(preset.options.average_last);
     let mut pixel_rays = preset.mix.pixel_rays;
     let mut error = None;
     let start_s = control.seconds();
@@ -62,6 +64,7 @@ pub(super) fn fit(
         }
         if preset.surveys.due(step, done) > surveyed {
             surveyed += 1;
+            average.restart();
             run.warnings
                 .extend(refine(&mut trainer, preset, urgency, &cancelled)?);
         }
@@ -86,6 +89,10 @@ pub(super) fn fit(
             }
             pixel_rays = affordable_rays(preset, report.colored, rays.len() as u64);
         }
+        if average.is_due(done) {
+            trainer.fetch(&cancelled)?;
+            average.add(trainer.field());
+        }
         let progress = Progress {
             stage: Stage::Train,
             step: step + 1,
@@ -97,6 +104,10 @@ pub(super) fn fit(
             trainer.fetch(&cancelled)?;
             control.inspect(progress, trainer.field());
         }
+    }
+    if let Some(mean) = average.mean() {
+        trainer.fetch(&cancelled)?;
+        mean.replace(trainer.field_mut());
     }
     run.warnings
         .extend(refine(&mut trainer, preset, &|_, _| None, &cancelled)?);

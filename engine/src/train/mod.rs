@@ -3,6 +3,7 @@
 //! [`train_background`] and [`train_object`] check their input, prepare a field (bricks and density where LiDAR returns lie),
 //! then loop: draw rays, take a step on the backend, now and then survey what is occupied and store finer bricks there.
 
+mod average;
 mod background;
 mod bounded;
 mod control;

@@ -14,6 +14,8 @@ pub struct TrainOptions {
     pub min_weights: Vec<(f64, f32)>,
     /// Fraction of the run from which poses are refined: before there is a shape, there is nothing to align with.
     pub poses_from: f64,
+    /// The part of the run at its end over which parameters are averaged; holds a copy of them. 0 takes those of the last step.
+    pub average_last: f64,
 }
 
 impl TrainOptions {

@@ -20,6 +20,8 @@ const THRESHOLDS: [(f64, f32); 6] = [
 ];
 /// Coloured samples of a step: DVGO starts on a grid of 50^3, where rays have few; here the first steps take fewer rays.
 const MOST_COLORED: u64 = 1 << 19;
+/// What DVGO leaves of its rates.
+const RATE_DECAY: f32 = 0.1;
 /// Open space is cleared as early as DVGO's grid grows, at steps 2,000 to 16,000.
 const SURVEYS: [f64; 5] = [0.02, 0.05, 0.1, 0.2, 0.4];
 
@@ -35,6 +37,7 @@ impl TrainPreset {
             steps: 40_000,
             most_passes: f64::INFINITY,
             most_colored: MOST_COLORED,
+            rate_decay: RATE_DECAY,
             surveys: Surveys::AtFractions(SURVEYS.to_vec()),
             // 36 M voxels with their optimiser state are 2.2 GB.
             memory_bytes: 3 << 30,
@@ -54,6 +57,7 @@ impl TrainPreset {
                 dense_voxels: VOXELS,
                 dense_voxel_m: VOXEL_M,
                 min_weights: THRESHOLDS.to_vec(),
+                average_last: 0.0,
                 ..base.options
             },
             ..base

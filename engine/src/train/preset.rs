@@ -88,9 +88,10 @@ const FAST_MOST_VOXELS: f64 = 256.0;
 
 impl TrainPreset {
     pub fn background(budget: Budget) -> Self {
-        let (steps, most_passes, discovery) = match budget {
-            Budget::Quick => (1_400, 8.0, 0.1),
-            Budget::Standard => (8_000, 40.0, 0.04),
+        // A mean over the end lets the rates stay high, for a copy of the field in memory, which the demo's 2 GiB do not hold.
+        let (steps, most_passes, discovery, rate_decay, average_last) = match budget {
+            Budget::Quick => (1_400, 8.0, 0.1, 0.1, 0.0),
+            Budget::Standard => (8_000, 40.0, 0.04, 1.0, 0.2),
             Budget::Paper => return Self::paper_background(),
         };
         Self {
@@ -114,7 +115,7 @@ impl TrainPreset {
                 ..Rates::default()
             },
             settle_passes: f64::INFINITY,
-            rate_decay: 0.1,
+            rate_decay,
             mix: RayMix {
                 pixel_rays: 3_584,
                 depth_rays: 512,
@@ -145,6 +146,7 @@ impl TrainPreset {
             options: TrainOptions {
                 // A coarse step through untouched space weighs 2e-3: it must be coloured until what is far from LiDAR is found.
                 min_weights: vec![(0.0, 2e-4), (discovery, 3e-3)],
+                average_last,
                 ..TrainOptions::default()
             },
         }

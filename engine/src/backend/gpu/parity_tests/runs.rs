@@ -68,18 +68,34 @@ fn agree(name: &str, psnr: impl Fn(&dyn Backend, u64) -> f64) {
     });
 }
 
+fn background_psnr(backend: &dyn Backend, steps: u64, average_last: f64) -> f64 {
+    let mut preset = quick(TrainPreset::background(Budget::Quick), steps);
+    preset.box_reach_m = 10.0;
+    preset.mix.pixel_rays = 256;
+    preset.mix.depth_rays = 64;
+    preset.mlp_width = 16;
+    preset.losses.density_variation = 1e-3;
+    preset.options.average_last = average_last;
+    let trained = train_background(&drive(), &preset, 1, backend, &NoControl).unwrap();
+    trained.quality.psnr_held_out.unwrap()
+}
+
 #[test]
 fn parity_of_fifty_steps_of_a_background() {
     agree("fifty steps of a background", |backend, steps| {
-        let mut preset = quick(TrainPreset::background(Budget::Quick), steps);
-        preset.box_reach_m = 10.0;
-        preset.mix.pixel_rays = 256;
-        preset.mix.depth_rays = 64;
-        preset.mlp_width = 16;
-        preset.losses.density_variation = 1e-3;
-        let trained = train_background(&drive(), &preset, 1, backend, &NoControl).unwrap();
-        trained.quality.psnr_held_out.unwrap()
+        background_psnr(backend, steps, 0.0)
     });
+}
+
+#[test]
+fn parity_of_a_mean_over_most_of_fifty_steps() {
+    agree("a mean over most of fifty steps", |backend, steps| {
+        background_psnr(backend, steps, 0.8)
+    });
+    // A device that takes the last step instead would be noticed.
+    let host = |average_last| background_psnr(&Unfused, STEPS, average_last);
+    let (mean, last) = (host(0.8), host(0.0));
+    assert!((mean - last).abs() > PSNR_DB, "{mean} and {last} dB");
 }
 
 #[test]
