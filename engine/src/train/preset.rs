@@ -62,7 +62,7 @@ pub struct TrainPreset {
     pub memory_bytes: u64,
     /// Learning rates of the first step.
     pub rates: Rates,
-    /// What is left of them at the last step.
+    /// What is left of them at the last step, but of the sky map's, which always decays.
     pub rate_decay: f32,
     /// Passes over the training pixels after which the rates fall by themselves, whatever the run's length, so that a field is
     /// good at any moment and not only at the end; infinite switches this off.

@@ -1,7 +1,7 @@
 //! Comparing the stages of a step on a dense grid.
 
 use super::compare::{Cpu, Gpu};
-use super::stage_compare::relative_error;
+use super::stage_compare::{gradient, sum, within};
 use crate::train::dvgo::record::{GridStages, RayStage, SampleStage};
 
 /// Node coordinates up to 28: an ULP of them, and five operations with half an ULP each on the way.
@@ -12,10 +12,6 @@ const TAU: f32 = 1e-4;
 const WEIGHT: f32 = 3e-4;
 /// A colour is a quarter of its logit's error; colour values change by up to 2 a node over [`NODES`], in twelve through two layers.
 const COLOR: f32 = 1e-4;
-/// Relative error of a whole gradient (root of summed squares): what its inputs are off, and activations whose sign rounding flips.
-const GRADIENT: f64 = 5e-4;
-/// Sums of losses in f32 against f64.
-const SUM: f64 = 1e-4;
 
 /// Largest deviations seen, for people.
 #[derive(Clone, Copy, Debug, Default)]
@@ -50,15 +46,9 @@ pub(super) fn compare_grids<const C: usize>(
     }
     let mut gradient = |what: &str, of: fn(&GridStages<C>) -> Vec<f32>| {
         let (gpu, cpu) = (of(gpu), of(cpu));
-        if gpu.is_empty() && cpu.is_empty() {
-            return Ok(());
-        }
-        let error = relative_error(&gpu, &cpu);
-        worst.gradient = worst.gradient.max(error);
-        if error <= GRADIENT {
-            Ok(())
-        } else {
-            Err(format!("gradient by {what}: relative error {error:.2e}"))
+        match gpu.is_empty() && cpu.is_empty() {
+            true => Ok(()),
+            false => gradient(what, &gpu, &cpu, &mut worst.gradient),
         }
     };
     gradient("raw density", |stages| {
@@ -113,21 +103,4 @@ fn compare_ray<const C: usize>(
         }
     }
     Ok(())
-}
-
-fn within(what: &str, gpu: f32, cpu: f32, tolerance: f32, worst: &mut f32) -> Result<(), String> {
-    let deviation = (gpu - cpu).abs();
-    if deviation > tolerance || deviation.is_nan() {
-        return Err(format!("{what} {gpu} against {cpu}"));
-    }
-    *worst = worst.max(deviation);
-    Ok(())
-}
-
-fn sum(what: &str, gpu: f64, cpu: f64) -> Result<(), String> {
-    if (gpu - cpu).abs() <= SUM * cpu.abs() {
-        Ok(())
-    } else {
-        Err(format!("{what} {gpu} against {cpu}"))
-    }
 }

@@ -46,7 +46,7 @@ pub(super) fn compare_stages(
         compare_ray(gpu, cpu, &mut worst).map_err(|what| format!("ray {number}: {what}"))?;
     }
     let raw = |stages: &Stages| each(stages, |sample| vec![sample.raw]);
-    gradient("raw density", &raw(gpu), &raw(cpu), &mut worst)?;
+    gradient("raw density", &raw(gpu), &raw(cpu), &mut worst.gradient)?;
     let of_features = |stages: &Stages| {
         each(stages, |sample| {
             let colored = sample.colored.map(|c| c.feature_gradient.to_vec());
@@ -57,19 +57,19 @@ pub(super) fn compare_stages(
         "sample features",
         &of_features(gpu),
         &of_features(cpu),
-        &mut worst,
+        &mut worst.gradient,
     )?;
-    gradient("network", &gpu.network, &cpu.network, &mut worst)?;
-    gradient("sky", &gpu.sky, &cpu.sky, &mut worst)?;
+    gradient("network", &gpu.network, &cpu.network, &mut worst.gradient)?;
+    gradient("sky", &gpu.sky, &cpu.sky, &mut worst.gradient)?;
     for (gpu, cpu) in gpu.density.iter().zip(&cpu.density) {
-        gradient("density", gpu, cpu, &mut worst)?;
+        gradient("density", gpu, cpu, &mut worst.gradient)?;
     }
     for (gpu, cpu) in gpu.features.iter().zip(&cpu.features) {
         gradient(
             "features",
             gpu.as_flattened(),
             cpu.as_flattened(),
-            &mut worst,
+            &mut worst.gradient,
         )?;
     }
     if !cpu.views.is_empty() {
@@ -81,8 +81,13 @@ pub(super) fn compare_stages(
             let views = stages.views.iter();
             views.flat_map(|view| view[6..].to_vec()).collect()
         };
-        gradient("exposure", &exposures(gpu), &exposures(cpu), &mut worst)?;
-        gradient("pose", &poses(gpu), &poses(cpu), &mut worst)?;
+        gradient(
+            "exposure",
+            &exposures(gpu),
+            &exposures(cpu),
+            &mut worst.gradient,
+        )?;
+        gradient("pose", &poses(gpu), &poses(cpu), &mut worst.gradient)?;
     }
     if gpu.color_rays != cpu.color_rays {
         return Err(format!(
@@ -172,7 +177,17 @@ fn compare_ray(
     Ok(())
 }
 
-fn within(what: &str, gpu: f32, cpu: f32, tolerance: f32, worst: &mut f32) -> Result<(), String> {
+/// Takes note of the deviation of one value.
+///
+/// # Errors
+/// Names what is off by more than `tolerance`.
+pub(super) fn within(
+    what: &str,
+    gpu: f32,
+    cpu: f32,
+    tolerance: f32,
+    worst: &mut f32,
+) -> Result<(), String> {
     let deviation = (gpu - cpu).abs();
     if deviation > tolerance || deviation.is_nan() {
         return Err(format!("{what} {gpu} against {cpu}"));
@@ -181,17 +196,21 @@ fn within(what: &str, gpu: f32, cpu: f32, tolerance: f32, worst: &mut f32) -> Re
     Ok(())
 }
 
-fn gradient(
+/// Takes note of the relative error of a whole gradient.
+///
+/// # Errors
+/// Names the gradient that is off by more than [`GRADIENT`].
+pub(super) fn gradient(
     what: &str,
     gpu: &[f32],
     cpu: &[f32],
-    worst: &mut StageDeviation,
+    worst: &mut f64,
 ) -> Result<(), String> {
     let error = relative_error(gpu, cpu);
     if error > GRADIENT || error.is_nan() {
         return Err(format!("gradient by {what}: relative error {error:.2e}"));
     }
-    worst.gradient = worst.gradient.max(error);
+    *worst = worst.max(error);
     Ok(())
 }
 
@@ -205,7 +224,9 @@ pub(super) fn relative_error(gpu: &[f32], cpu: &[f32]) -> f64 {
     norm(&mut pairs.map(|(g, c)| f64::from(*g) - f64::from(*c))) / all
 }
 
-fn sum(what: &str, gpu: f64, cpu: f64) -> Result<(), String> {
+/// # Errors
+/// Names the sum that is off by more than rounding.
+pub(super) fn sum(what: &str, gpu: f64, cpu: f64) -> Result<(), String> {
     if (gpu - cpu).abs() <= SUM * cpu.abs() {
         Ok(())
     } else {
