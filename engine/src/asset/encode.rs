@@ -10,7 +10,7 @@ use safetensors::tensor::TensorView;
 
 use super::Asset;
 use super::layout::{FIELD_KEY, FieldLayout, GridLayout, HEADER_KEY};
-use super::quantize::{DENSITY_STEP, density_steps, feature_steps};
+use super::quantize::{density_step, density_steps, feature_steps};
 use super::visible::{NodeBits, VisibleCells};
 use super::{AssetHeader, FORMAT_VERSION};
 use crate::field::{BRICK_NODES, FEATURES, Field, Lattice, Occupancy, SkyGrid};
@@ -32,8 +32,10 @@ impl Asset {
     pub fn encode(&self) -> Vec<u8> {
         let mut tensors = Vec::new();
         let visible = VisibleCells::of(&self.field);
+        let raw = self.field.levels.iter().flat_map(|l| l.density());
+        let step = density_step(raw.copied());
         let levels = self.field.levels.par_iter().enumerate();
-        let levels = levels.map(|(l, level)| level_tensors(l, level, &visible.nodes(level)));
+        let levels = levels.map(|(l, level)| level_tensors(l, level, step, &visible.nodes(level)));
         tensors.extend(levels.collect::<Vec<_>>().into_iter().flatten());
         let mlp = self.field.mlp.parameters();
         tensors.push(Tensor {
@@ -51,7 +53,7 @@ impl Asset {
         };
         let metadata = HashMap::from([
             (HEADER_KEY.to_owned(), json(&header)),
-            (FIELD_KEY.to_owned(), json(&field_layout(&self.field))),
+            (FIELD_KEY.to_owned(), json(&field_layout(&self.field, step))),
         ]);
         let views = tensors.iter().map(|t| {
             let view = TensorView::new(t.dtype, t.shape.clone(), &t.bytes);
@@ -66,7 +68,7 @@ fn json(value: &impl serde::Serialize) -> String {
     serde_json::to_string(value).expect("headers are plain values")
 }
 
-fn field_layout(field: &Field) -> FieldLayout {
+fn field_layout(field: &Field, density_step: f32) -> FieldLayout {
     let occupancy = &field.occupancy;
     let grid = |level: &Lattice| GridLayout {
         cell_m: level.voxel_m(),
@@ -85,7 +87,7 @@ fn field_layout(field: &Field) -> FieldLayout {
             extent: occupancy.blocks_per_axis().to_array(),
         },
         step_growth: field.step_growth,
-        density_step: DENSITY_STEP,
+        density_step,
     }
 }
 
@@ -95,12 +97,17 @@ fn to_f16_bytes(values: &[f32]) -> Vec<u8> {
     bytemuck::cast_slice(&halves).to_vec()
 }
 
-fn level_tensors(l: usize, level: &Lattice, visible: &[NodeBits]) -> [Tensor; 4] {
+fn level_tensors(
+    l: usize,
+    level: &Lattice,
+    density_step: f32,
+    visible: &[NodeBits],
+) -> [Tensor; 4] {
     let mut positions: Vec<[u16; 3]> = Vec::new();
     let (mut density, mut features, mut scales) = (Vec::new(), Vec::new(), Vec::new());
     for (brick, seen) in visible.iter().enumerate().skip(1) {
         let nodes = brick * BRICK_NODES..(brick + 1) * BRICK_NODES;
-        let raw = density_steps(&level.density()[nodes.clone()]);
+        let raw = density_steps(&level.density()[nodes.clone()], density_step);
         let (color, scale) = feature_steps(&visible_features(&level.features()[nodes], seen));
         if raw.iter().all(|x| *x == 0) && color.as_flattened().iter().all(|x| *x == 0) {
             continue;

@@ -4,20 +4,32 @@ use half::f16;
 
 use crate::field::{BRICK_NODES, FEATURES};
 
-/// Step of raw densities: half of it changes sigma by at most 1.6 %, where softplus is exponential.
+/// Finest step of raw densities: half of it changes sigma by at most 1.6 %, where softplus is exponential.
 pub(super) const DENSITY_STEP: f32 = 1.0 / 32.0;
+/// Widest step, for raw densities up to 32,767. Half of it is a factor of 1.6 in sigma: no wider step is worth storing.
+const WIDEST_DENSITY_STEP: f32 = 1.0;
 /// Steps of a feature on either side of 0. Four times as many cost a third more bytes and gain 0.02 dB.
 const FEATURE_STEPS: f32 = 31.0;
 
-/// A brick's raw densities in steps. What lies beyond 1,000 is as opaque or as empty as an f32 sigma can say.
+/// The step that stores all of these raw densities: [`DENSITY_STEP`], doubled while the largest would not fit an i16. Levels
+/// may hold large values against each other, and cutting one of them off would leave the other's. A power of two, so that
+/// rounding stored values again changes nothing.
+pub(super) fn density_step(raw: impl Iterator<Item = f32>) -> f32 {
+    let largest = raw.fold(0.0, |m: f32, x| m.max(x.abs()));
+    let mut step = DENSITY_STEP;
+    while largest > step * f32::from(i16::MAX) && step < WIDEST_DENSITY_STEP {
+        step *= 2.0;
+    }
+    step
+}
+
+/// A brick's raw densities in steps. What lies beyond 32,767 of the widest step is cut off.
 ///
 /// # Panics
 /// If one is not finite: training never returns such a field.
-pub(super) fn density_steps(raw: &[f32]) -> Vec<i16> {
+pub(super) fn density_steps(raw: &[f32], step: f32) -> Vec<i16> {
     assert!(raw.iter().all(|x| x.is_finite()), "densities are finite");
-    raw.iter()
-        .map(|x| (x / DENSITY_STEP).round() as i16)
-        .collect()
+    raw.iter().map(|x| (x / step).round() as i16).collect()
 }
 
 /// A brick's features in steps of its channels' scales; the largest of each channel is [`FEATURE_STEPS`].
@@ -76,8 +88,28 @@ mod tests {
     #[test]
     fn densities_saturate_and_keep_zero() {
         let raw = [0.0, 0.015, -0.017, 5e4, -5e4, 1e30];
-        let steps = density_steps(&raw);
+        let steps = density_steps(&raw, DENSITY_STEP);
         assert_eq!(steps, [0, 0, -1, i16::MAX, i16::MIN, i16::MAX]);
+    }
+
+    #[test]
+    fn the_density_step_is_the_finest_that_holds_the_largest_and_stays_when_rounded_again() {
+        for (largest, expected) in [
+            (0.0, DENSITY_STEP),
+            (1023.96, DENSITY_STEP),
+            (1023.97, DENSITY_STEP * 2.0),
+            (-1500.0, DENSITY_STEP * 2.0),
+            (2047.94, DENSITY_STEP * 4.0),
+            (1e30, WIDEST_DENSITY_STEP),
+        ] {
+            let raw = [largest, 0.2];
+            let step = density_step(raw.into_iter());
+            assert_eq!(step, expected, "{largest}");
+            let steps = density_steps(&raw, step);
+            let again = steps.iter().map(|x| f32::from(*x) * step);
+            assert_eq!(density_step(again.clone()), step, "{largest}");
+            assert_eq!(density_steps(&again.collect::<Vec<_>>(), step), steps);
+        }
     }
 
     #[test]

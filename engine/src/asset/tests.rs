@@ -103,6 +103,26 @@ fn decodes_to_the_same_header_and_a_field_within_half_a_step() {
 }
 
 #[test]
+fn large_densities_that_levels_hold_against_each_other_are_stored() {
+    let mut asset = asset();
+    let field = Arc::get_mut(&mut asset.field).unwrap();
+    for (level, shift) in field.levels.iter_mut().zip([-3000.0, 3000.0]) {
+        let (density, _) = level.parameters_mut();
+        for value in &mut density[BRICK_NODES..] {
+            *value += shift;
+        }
+    }
+    let back = Asset::decode(&asset.encode()).unwrap();
+    for i in 0..200 {
+        let p = Vec3::new(-1.0, 2.0, -0.5) + Vec3::new(0.0123, 0.0051, 0.0039) * i as f32;
+        let (a, b) = (asset.field.raw_density(p), back.field.raw_density(p));
+        // Half a step of 1/8, the finest in which an i16 holds 3,000, on each of two levels.
+        assert!((a - b).abs() <= 1.02 / 8.0, "{p}: {a} {b}");
+    }
+    assert_eq!(Asset::decode(&back.encode()).unwrap(), back);
+}
+
+#[test]
 fn decoding_twice_changes_nothing_more() {
     let once = Asset::decode(&asset().encode()).unwrap();
     assert_eq!(Asset::decode(&once.encode()).unwrap(), once);
